@@ -1,6 +1,7 @@
-// One solve of the height-like system of SIDE × SIDE pixels, as a JSON line: seconds from the assembled system to the
-// solution, peak memory of the process, iterations, |A x − b| / |b|. `export FILE` writes the lower triangle and the
-// right-hand side for other solvers: n, entries (int64), column starts, rows (int32), values, right-hand side (double).
+// Solves the height-like system of SIDE × SIDE pixels once. Prints a JSON line: seconds from the assembled system to
+// the solution, peak memory of the process, iterations, |A x − b| / |b|. `export FILE` writes the lower triangle and
+// the right-hand side for other solvers: n, entries (int64), column starts, rows (int32), values, right-hand side
+// (double).
 #include <sys/resource.h>
 
 #include <Eigen/CholmodSupport>
@@ -59,9 +60,9 @@ int main(int count, char** arguments) {
   const auto start = std::chrono::steady_clock::now();
   if (solver == "cholmod") {
     const SymmetricSolver::Matrix lower = system.lower(ridge);
-    // As a user of the library would have it, in its own order.
+    // CHOLMOD called directly, as by a user of that library, with its own ordering.
     Eigen::CholmodSupernodalLLT<SymmetricSolver::Matrix, Eigen::Lower> direct;
-    // What it would choose in the end, without trying others first.
+    // The ordering that CHOLMOD would choose in the end; without this it tries others first.
     direct.cholmod().nmethods = 1;
     direct.cholmod().method[0].ordering = CHOLMOD_METIS;
     direct.compute(lower);

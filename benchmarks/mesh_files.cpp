@@ -1,5 +1,5 @@
-// A mesh of SIDE × SIDE vertices written as PLY and GLB into FOLDER by THREADS threads, each followed by `cp` and
-// `sync` of the same file, as a JSON line: megabytes a second of each. The writers sync their files too.
+// Writes a mesh of SIDE × SIDE vertices as PLY and GLB into FOLDER with THREADS threads, and copies each file by `cp`
+// and `sync`. Prints megabytes per second of each step as a JSON line. The writers sync their files, too.
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -41,7 +41,7 @@ double seconds_of(Work&& work) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// MB/s of writing and of copying as two fields of JSON; the files are removed.
+/// Two JSON fields with the MB/s of writing and of copying; removes both files.
 template <class Write>
 std::string measure(const std::filesystem::path& path, Write&& write) {
   const double written = seconds_of(write);

@@ -1,5 +1,6 @@
-// A station whose coarse surface is swept from photographs of known pose, twice as the front end does it: about points,
-// and about the surface fused with that. For constants.py, which writes the files of FOLDER.
+// Reconstructs a station whose coarse surface comes from sweeps of photographs with known poses. As in the front end,
+// there are two sweeps: one around points, the second around the surface fused with the result of the first. For
+// constants.py, which writes the files of FOLDER.
 //
 //     sweep-of-files STATION FOLDER WORKSPACE [section.key=value …]
 
@@ -32,7 +33,8 @@ malus::Image<float> read_image(const fs::path& path, malus::Size size) {
   return image;
 }
 
-/// The station's view and the photos: a line each with name, size, fx fy cx cy, rotation and translation.
+/// Reads the station's view and the photos. cameras.txt has a line for each: name, size, fx fy cx cy, rotation,
+/// translation.
 malus::SweepInput read_input(const fs::path& folder, std::vector<malus::SweepView>& views) {
   std::ifstream list(folder / "cameras.txt");
   malus::SweepInput input;
@@ -63,7 +65,7 @@ malus::SweepInput read_input(const fs::path& folder, std::vector<malus::SweepVie
   return input;
 }
 
-/// The fused surface, near its prior everywhere: as python/malus/photogrammetry/front_end.py has it.
+/// The fused surface, limited to the neighborhood of its prior, as in python/malus/photogrammetry/front_end.py.
 malus::Image<float> held(const malus::FusedSurface& fused, const malus::DepthPrior& prior) {
   constexpr float trusted_sigmas = 2;
   malus::Image<float> shape = prior.depth;

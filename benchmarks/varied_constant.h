@@ -1,9 +1,10 @@
 #pragma once
 
-// Constants that an environment variable multiplies: put into an instrumented copy of the sources by varied_source.py.
+// Multiplies constants by factors from an environment variable. varied_source.py inserts this into an instrumented copy
+// of the sources.
 //
-// MALUS_VARIED="file.cpp:name=0.5,…": factors. MALUS_REACHED=FILE: the names whose code was reached are added to it;
-// constants of a namespace always are.
+// MALUS_VARIED="file.cpp:name=0.5,…": factors. MALUS_REACHED=FILE: the names of constants whose code was executed are
+// appended to FILE; constants at namespace scope always are.
 
 #include <array>
 #include <cmath>
@@ -30,7 +31,7 @@ inline double factor(const char* key) {
   return at == std::string::npos ? 1 : std::atof(all.c_str() + at + wanted.size());
 }
 
-/// Whole numbers are rounded, and stay at least 1.
+/// The value times its factor. Whole numbers are rounded and at least 1.
 template <class T>
 T of(const char* key, T value) {
   const double by = factor(key);
@@ -51,7 +52,7 @@ std::array<T, N> of(const char* key, std::array<T, N> values) {
 
 }  // namespace malus_varied
 
-/// The same for a number without a name, evaluated once.
+/// The same for a number without a name; evaluated once.
 #define MALUS_VARIED_VALUE(key, value)                                                \
   ([]() -> std::decay_t<decltype(value)> {                                            \
     static const std::decay_t<decltype(value)> varied = malus_varied::of(key, value); \

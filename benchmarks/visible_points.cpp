@@ -1,7 +1,7 @@
-// Visible points of a dense cloud, as a JSON line: seconds, processor seconds of all threads (those of a machine with
-// nothing else to do), peak memory of the process, what came of the points.
+// Measures visible_points on a dense cloud. Prints a JSON line: seconds, processor seconds of all threads (valid on an
+// otherwise idle machine), peak memory of the process, numbers of visible, hidden and outlying points.
 //   visible_points MILLION_POINTS WIDTH HEIGHT THREADS
-// A wavy surface seen at random pixels, with noise of a GSD, steps that hide what is behind them, and stray points.
+// The cloud is a wavy surface sampled at random pixels, with noise of 1 GSD, a hidden wall and stray points.
 #include <sys/resource.h>
 
 #include <chrono>

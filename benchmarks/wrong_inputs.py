@@ -29,9 +29,8 @@ from pathlib import Path
 import harm
 import numpy as np
 from capture_mistakes import CAPTURE_MISTAKES
-from mistakes import MISTAKES, Inputs, read, write, write_images
+from mistakes import MISTAKES, OTHER_OBJECT, Inputs, read, write, write_images
 
-OTHER_OBJECT = "images of another object"
 #: Options of each run: one thread, since several runs are side by side, and without results that no figure needs.
 WITHOUT = ["--set", "assess.polarization_height=false", "--threads", "1", "--quiet"]
 

@@ -1,5 +1,5 @@
 # Debian's SuiteSparse 5 ships no CMake package for CHOLMOD. Defines the target CHOLMOD::CHOLMOD, with OpenBLAS and the
-# OpenMP runtime beside it: CHOLMOD calls both, and linalg/sequential_blas holds their threads back.
+# OpenMP runtime: CHOLMOD calls both, and linalg/sequential_blas limits their threads.
 find_path(CHOLMOD_INCLUDE_DIR cholmod.h PATH_SUFFIXES suitesparse)
 find_library(CHOLMOD_LIBRARY cholmod)
 find_library(CHOLMOD_OPENBLAS_LIBRARY openblas)
@@ -14,7 +14,7 @@ find_package_handle_standard_args(CHOLMOD VERSION_VAR CHOLMOD_VERSION REQUIRED_V
                                   CHOLMOD_INCLUDE_DIR)
 if(CHOLMOD_FOUND AND NOT TARGET CHOLMOD::CHOLMOD)
   add_library(CHOLMOD::CHOLMOD INTERFACE IMPORTED)
-  # OpenBLAS first: Ceres brings ATLAS, and which of the two is searched first serves all.
+  # OpenBLAS first: Ceres also links ATLAS, and the BLAS that is linked first serves all callers.
   set_target_properties(CHOLMOD::CHOLMOD PROPERTIES INTERFACE_INCLUDE_DIRECTORIES ${CHOLMOD_INCLUDE_DIR}
                                                     INTERFACE_LINK_LIBRARIES
                                                     "${CHOLMOD_OPENBLAS_LIBRARY};${CHOLMOD_LIBRARY};${OpenMP_gomp_LIBRARY}")

@@ -1,4 +1,4 @@
-# Everything comes from Debian 12; the minimum versions are the ones that were tested.
+# All dependencies are in Debian 12; the minimum versions are the tested ones.
 find_package(Threads REQUIRED)
 find_package(Eigen3 3.4 REQUIRED NO_MODULE)
 find_package(TBB 2021 REQUIRED COMPONENTS tbb)

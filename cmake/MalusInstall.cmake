@@ -1,4 +1,5 @@
-# The CMake package: find_package(malus) gives malus::malus. Component "development"; a wheel takes "python" only.
+# The CMake package: find_package(malus) gives malus::malus. Everything here is in the component
+# "development"; a wheel contains the component "python" only.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 

@@ -7,13 +7,13 @@ set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "Surfaces of heritage objects: shape from 
 set(CPACK_RESOURCE_FILE_LICENSE ${PROJECT_SOURCE_DIR}/LICENSE)
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
-# The libraries that malus-station needs are found by dpkg-shlibdeps; what links the library needs their headers.
+# dpkg-shlibdeps finds the libraries that malus-station needs. Programs that link the library also need their headers.
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS
     "libeigen3-dev, libtbb-dev, libsuitesparse-dev, libopenblas-dev, libceres-dev, libopencv-dev, libtomlplusplus-dev, nlohmann-json3-dev")
-# Not the wheel's part.
+# The package leaves out the wheel's component "python".
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_COMPONENTS_ALL development)
 set(CPACK_COMPONENTS_GROUPING ALL_COMPONENTS_IN_ONE)

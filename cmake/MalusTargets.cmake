@@ -3,15 +3,15 @@ add_library(malus_settings INTERFACE)
 target_compile_features(malus_settings INTERFACE cxx_std_20)
 target_compile_options(malus_settings INTERFACE -Wall -Wextra -Wpedantic -Wshadow $<$<BOOL:${MALUS_WERROR}>:-Werror>)
 if(MALUS_SANITIZE)
-  # Instrumented code makes GCC 12 warn about its own <regex> and <functional>.
+  # In instrumented code GCC 12 warns about its own <regex> and <functional>.
   target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer
                                                   -Wno-maybe-uninitialized)
   target_link_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE})
 endif()
 
-# One room of the house: the sources in cpp/malus/<name>, and what they may use. DEPENDS names other rooms and so
-# states the dependency direction; PRIVATE names libraries that must not reach a public header.
-# MALUS_ROOMS_<name> lists the room and everything below it, so that a test can link just these.
+# Adds a room: the sources in cpp/malus/<name>, and their dependencies. DEPENDS names the rooms that they may use and so
+# states the dependency direction; PRIVATE names libraries that must not appear in a public header.
+# MALUS_ROOMS_<name> lists the room and all rooms below it, so that a test can link only these.
 function(malus_add_module name)
   cmake_parse_arguments(ARG "" "" "DEPENDS;PRIVATE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/${name}/*.cpp)
@@ -35,14 +35,14 @@ function(malus_add_module name)
   set_property(GLOBAL APPEND PROPERTY MALUS_MODULES malus_${name})
 endfunction()
 
-# The libraries behind the rooms. CHOLMOD and its BLAS come before Ceres, which brings another one.
+# Links the libraries that the rooms use. CHOLMOD and its BLAS come before Ceres, which links another BLAS.
 function(malus_link_libraries target)
   target_link_libraries(${target} PUBLIC Eigen3::Eigen Threads::Threads
                                   PRIVATE CHOLMOD::CHOLMOD Ceres::ceres ${OpenCV_LIBS} TBB::tbb TIFF::TIFF PNG::PNG
                                           JPEG::JPEG OpenSSL::Crypto re2::re2 tomlplusplus::tomlplusplus)
 endfunction()
 
-# Adds the objects of the given targets (rooms) to a target, with the libraries behind the rooms.
+# Adds the objects of the given targets (rooms) to a target, with the libraries that the rooms use.
 function(malus_link_rooms target)
   foreach(objects IN LISTS ARGN)
     target_sources(${target} PRIVATE $<TARGET_OBJECTS:${objects}>)

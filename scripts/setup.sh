@@ -1,6 +1,6 @@
-# Sourced by scripts/demo and scripts/test: everything that a bare Debian 12 needs, nothing twice.
+# Sourced by the other scripts: installs everything that a bare Debian 12 lacks, and skips what is up to date.
 #   apt packages → .venv (Python package malus) → build/ (malus-station)
-# Whoever sets with_tests=ON also gets the C++ tests and the tools of the Python tests.
+# A script that sets with_tests=ON also gets the C++ tests and the tools of the Python tests.
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root"
@@ -35,14 +35,14 @@ create_environment() {
   /usr/bin/python3 -m venv .venv
 }
 
-# What the build depends on, in one hash, so that an unchanged tree is neither configured nor built again.
+# One hash of all files that the build depends on, so that an unchanged tree is neither configured nor built again.
 source_state() {
   find CMakeLists.txt cmake cpp python tests/cpp examples pyproject.toml README.md -type f -not -name '*.pyc' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
 
-# One CMake tree, build/, serves all: scikit-build-core builds the extension in it, together with malus-station and the
-# C++ tests, and installs the Python part into .venv. What was built with tests is kept with tests.
+# One CMake tree, build/, serves all scripts: scikit-build-core builds the extension in it, together with malus-station and
+# the C++ tests, and installs the Python part into .venv. A tree that was once built with tests is always built with tests.
 build() {
   local built state what="malus-station, Python package" tests=""
   built=$(cat .venv/malus-source-state 2>/dev/null || true)
@@ -56,7 +56,7 @@ build() {
                   cmake.define.MALUS_WERROR=ON cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
   CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
     "${settings[@]/#/--config-settings=}" .
-  # On its own: a package that has no wheel is built with what it asks for, not with what happens to be in .venv.
+  # A separate call with build isolation: packages without a wheel are built with the tools that they require, not with those in .venv.
   [ "$with_tests" = OFF ] || .venv/bin/python -m pip install -q --disable-pip-version-check "malus[test]"
   echo "$state" > .venv/malus-source-state
 }

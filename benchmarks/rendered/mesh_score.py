@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Scores a mesh of a whole object against the true one of a scene with several stations.
+"""Scores a mesh of a whole object against the true mesh of a scene with several stations.
 
     mesh_score.py SCENE MESH [--json]        SCENE has gt/mesh.ply, gt_sparse/, st*/station.toml, st*/gt/; MESH in the same frame and unit
 
-Where any station looks (its true depth map holds the point), in units of that scene's median GSD: precision, recall and F-score at 1 and 0.5 GSD,
-median and RMS distance of the mesh from the truth, Chamfer (mean of both directions), normals' median angle; over the whole
-object: recall_all at 1 GSD. Distances are from densely sampled points to the plane of the nearest sample on the other side.
+Figures for the parts that a station sees (its true depth map contains the point), in units of the scene's median GSD: precision, recall and
+F-score at 1 and 0.5 GSD, median and RMS distance of the mesh from the truth, Chamfer distance (mean of both directions), median angle between
+normals; for the whole object: recall_all at 1 GSD. Distances are from densely sampled points to the plane of the nearest sample of the other mesh.
 Needs numpy, scipy, trimesh.
 """
 
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 
 def samples(mesh, spacing):
-    """Points about `spacing` apart, and their faces' normals."""
+    """Sample points about `spacing` apart, and the normals of their faces."""
     count = int(np.clip(mesh.area / spacing**2 * 2, 1e4, 3e6))
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=0)
     return np.asarray(points), mesh.face_normals[faces]
@@ -64,7 +64,7 @@ def seen(points, views, tolerance):
 
 
 def distances(points, other, normals, spacing):
-    """To the plane of the nearest sample if that is near, to the sample itself otherwise."""
+    """Distance of each point to the plane of the nearest sample of the other mesh; to the sample itself if it is far. Also its index."""
     away, nearest = cKDTree(other).query(points, workers=-1)
     plane = np.abs(((points - other[nearest]) * normals[nearest]).sum(1))
     return np.where(away < 3 * spacing, plane, away), nearest

@@ -1,14 +1,14 @@
-"""Render stations with exact truth (or take those there are), run them, score them, write the tables of docs/method.md.
+"""Renders stations with exact truth (or takes rendered ones), runs them, scores them, and writes the tables of docs/method.md.
 
     python benchmarks/rendered/run.py -o OUT --data DIR [--scenes relief coin …]     # DIR/SCENE as the renderer leaves it
     python benchmarks/rendered/run.py -o OUT --data examples --scenes bust coin glass
     python benchmarks/rendered/run.py -o OUT --render relief coin --python RENDERER_VENV/bin/python [--seed 5] [--size 200x150]
 
-Each scene's station.toml (--station names another) goes through `malus-station`, once with default options and twice by the
-preset "paper"; --runs takes some of these, --set and --threads add to all. OUT/SCENE-RUN are the workspaces, OUT/figures.json every
-score, and OUT/tables.md the tables: prior → fused and the processor seconds of all steps, and the paper's route by its stages.
---ablation makes another table in place of these: default options with one part of the refinement left out at a time. Scenes
-whose workspace is finished with the same inputs are not computed again. Needs numpy, scipy, Pillow and tifffile; rendering needs renderer/requirements.txt.
+`malus-station` runs each scene's station.toml (or the file of --station), once with default options and twice with the preset
+"paper". --runs selects among these runs; --set and --threads apply to all. OUT/SCENE-RUN are the workspaces, OUT/figures.json
+contains every score, and OUT/tables.md a table for each run: figures of prior → fused, and the processor seconds of all steps.
+--ablation writes another table instead: default options with one part of the refinement left out at a time. Workspaces that are
+finished with the same inputs are not computed again. Needs numpy, scipy, Pillow and tifffile; rendering needs renderer/requirements.txt.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-#: Runs of each scene: name in the tables, and what they add to the command line.
+#: Runs of each scene: name in the tables, and additional arguments of the command line.
 RUNS: dict[str, list[str]] = {
     "refined": [],
     "paper": ["--preset", "paper"],
     "paper, Eq 16": ["--preset", "paper", "--set", "optimize.enabled=false"],
 }
-#: What each part of the refinement is, and the options that leave it out.
+#: Parts of the refinement, and the options that leave each one out.
 PARTS = {
     "highlight": "refine.lobe=false",
     "mirrored surroundings": "refine.environment=false",
@@ -108,7 +108,7 @@ def table(name: str, figures: dict[str, dict[str, Any]]) -> str:
 
 
 def ablation(figures: dict[str, dict[str, Any]]) -> str:
-    """Detail / MAD / normals without each part; – where the station does not use it."""
+    """Table of detail / MAD / normals without each part; – if leaving the part out changes nothing on the scene."""
     lines = ["| without | " + " | ".join(figures) + " |", "|---" * (len(figures) + 1) + "|"]
     for name in ("nothing", *PARTS):
         cells = []

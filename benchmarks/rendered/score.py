@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Score a finished workspace against a scene with exact ground truth.
+"""Scores a finished workspace against a scene with exact ground truth.
 
     python score.py SCENE WORK [--align none|similarity] [--json]
 
-SCENE   a folder with meta.json and gt/depth_normal_mask.npz, as renderer/render.py leaves it; or one with truth/depth.tif in
-        the camera of the workspace, as the examples have it
+SCENE   a folder with meta.json and gt/depth_normal_mask.npz, as renderer/render.py writes it; or a folder with
+        truth/depth.tif in the camera of the workspace, as in the examples
 WORK    a workspace (fused/depth.tif, fused/camera.txt, prior/depth.tif, ...)
 
 Everything is measured on the pixels of the object, 6 px away from its border, where the fused depth is finite:
@@ -15,7 +15,7 @@ Everything is measured on the pixels of the object, 6 px away from its border, w
   detail_mad_gsd    the same with a robust spread: 1.4826 x median of the absolute value
   normal_mae_deg    mean angle between true normals and the normals of the fused depth (perspective differences)
   normal_median_deg its median
-  gain_*            the same figure of prior/depth.tif divided by the fused one's
+  gain_*            the same figure of prior/depth.tif divided by that of fused/depth.tif
   patch_<name>      RMSE to the fitted plane on a flat patch, in GSD (the paper's Table 2)
   sigma_2           share of pixels whose depth error (median removed) is below 2 x fused/sigma.tif
 """

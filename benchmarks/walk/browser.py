@@ -1,4 +1,4 @@
-"""A person at Chromium, with a mouse or with the keyboard alone: what a walk needs to press, to picture and to examine pages."""
+"""A simulated person at Chromium, with a mouse or with the keyboard alone, who presses buttons, takes pictures of pages and examines them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-#: Presses of Tab after which something counts as out of reach.
+#: A control that does not get the focus after so many presses of Tab counts as unreachable.
 _MOST_TABS = 400
 
 
@@ -26,7 +26,7 @@ def chromium() -> Iterator[Any]:
 
 
 class Person:
-    """Somebody in front of a page. keyboard: never touches the mouse. Every step is timed from the first on, pictured and examined by axe."""
+    """A person in front of a page. keyboard: does not use the mouse. Stores the time, a picture and the findings of axe for every step."""
 
     def __init__(self, page: Any, pictures: Path, name: str, *, keyboard: bool = False) -> None:
         self.page, self.keyboard = page, keyboard
@@ -38,7 +38,7 @@ class Person:
         page.on("pageerror", lambda error: self.serious.append(f"script error: {error}"))
 
     def press(self, what: Any) -> None:
-        """A button, by a click or by Tab and Enter."""
+        """Press a button, by a click or by Tab and Enter."""
         if self.keyboard:
             self.reach(what)
             self.page.keyboard.press("Enter")
@@ -46,7 +46,7 @@ class Person:
             what.click()
 
     def choose(self, what: Any, value: str) -> None:
-        """An entry of a list, by its value or by arrow keys."""
+        """Choose the entry of a list with this value, with the mouse or by arrow keys."""
         if not self.keyboard:
             what.select_option(value)
             return
@@ -57,7 +57,7 @@ class Person:
             self.page.keyboard.press("ArrowDown" if down > 0 else "ArrowUp")
 
     def reach(self, what: Any) -> None:
-        """Tab until this has the focus."""
+        """Press Tab until this element has the focus."""
         what.wait_for()
         for _ in range(_MOST_TABS):
             if what.evaluate("element => element === document.activeElement"):
@@ -66,14 +66,14 @@ class Person:
         raise AssertionError(f"{what} is not reached by {_MOST_TABS} presses of Tab")
 
     def pictured(self, step: str, *, whole: bool = False) -> None:
-        """Note the time, then picture and examine what is shown."""
+        """Note the time, then take a picture of the page and examine it."""
         self.steps.append((step, time.monotonic() - self._start))
         self.page.screenshot(path=self._pictures / f"{self._name}_{len(self.steps):02d}_{step}.png", full_page=whole)
         self.serious += [f"{step}: {words}" for words in serious_findings(self.page)]
 
 
 def serious_findings(page: Any) -> list[str]:
-    """What axe-core finds that is serious or critical."""
+    """Findings of axe-core that are serious or critical."""
     from axe_playwright_python.sync_playwright import Axe
 
     found = [one for one in Axe().run(page).response["violations"] if one["impact"] in ("serious", "critical")]
@@ -81,7 +81,7 @@ def serious_findings(page: Any) -> list[str]:
 
 
 def unreached(page: Any) -> list[str]:
-    """Controls of a page that Tab does not come to."""
+    """Controls of a page that Tab does not reach."""
     controls = "a[href], button, input, select, textarea, summary, [tabindex='0']"
     page.evaluate(
         "controls => { window.left = new Set([...document.querySelectorAll(controls)].filter(one => one.checkVisibility({visibilityProperty: true})"

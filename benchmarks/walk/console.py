@@ -1,10 +1,10 @@
-"""What a person reads on the console at 80 columns: a run, redirected, interrupted and resumed, what it refuses, many stations,
-and an object.
+"""Records what a person reads on a console of 80 columns: runs on the terminal, redirected, interrupted and resumed, refused runs,
+a campaign, and an object.
 
     python benchmarks/walk/console.py STATION.toml -o TEXTS [--fusion grid] [--page docs/console.md]
 
-TEXTS gets a text for each, the terminal's as it stood on the screen at the end. Printed: what is wrong with them. Exit code 1 then.
---page writes the texts into a page, below their marks.
+Writes a text file for each case into TEXTS; for a terminal it contains the final screen. Prints what is wrong with the texts; the exit
+code is then 1. --page also writes the texts into a page, below their marks.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ MALUS = [sys.executable, "-m", "malus"]
 
 
 def prepare(folder: Path, source: Path, fusion: str) -> str:
-    """The station in the folder; a copy that has lost an image, and a campaign of both; an object of two copies. Returns the name
-    of the station's folder.
+    """Copy the station into the folder: one intact copy and one that lacks an image, with a campaign of both; and an object of two
+    copies. Returns the name of the station's folder.
     """
     name, broken = source.name, f"{source.name}_broken"
     for copy in (name, broken, "figure/front", "figure/side"):
@@ -53,7 +53,7 @@ def prepare(folder: Path, source: Path, fusion: str) -> str:
 
 
 def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: str = "") -> tuple[int, str, list[str]]:
-    """Exit code, what the screen showed at the end, and every state of a line. Ctrl-C is pressed once `interrupt_at` is shown."""
+    """Exit code, final screen, and every state of every line. Ctrl-C is pressed once `interrupt_at` is shown."""
     main, other = pty.openpty()
     fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
     process = subprocess.Popen(words, stdin=other, stdout=other, stderr=other, start_new_session=True, cwd=folder)
@@ -69,7 +69,7 @@ def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: s
         said += block
         if interrupt_at and interrupt_at in said.decode(errors="replace"):
             interrupt_at = ""
-            time.sleep(1)  # as a person who has seen it
+            time.sleep(1)  # a person needs time to react
             os.killpg(process.pid, signal.SIGINT)
     text = said.decode(errors="replace")
     states = [_CONTROL.sub("", state) for state in re.split(r"[\r\n]", text)]
@@ -77,7 +77,7 @@ def on_terminal(words: list[str], folder: Path | None = None, *, interrupt_at: s
 
 
 def screen(text: str) -> str:
-    """What a terminal shows in the end, as far as lines are written over or cleared."""
+    """Final screen of a terminal; understands only the control sequences that move up and clear a line."""
     lines, row, column = [""], 0, 0
     for part in re.findall(r"\x1b\[[0-9;?]*[A-Za-z]|\r|\n|[^\x1b\r\n]+", text):
         if part == "\r":
@@ -102,7 +102,7 @@ def problems(code: int, expected: int, text: str, states: list[str]) -> list[str
 
 
 def with_texts(page: str, texts: dict[str, str]) -> str:
-    """The page with each text in the block below its mark."""
+    """The page, with each text inserted into the block below its mark."""
     for name, text in texts.items():
         before, mark, after = page.partition(f"<!-- console: {name} -->\n\n```text\n")
         if mark:

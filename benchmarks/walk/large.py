@@ -1,9 +1,9 @@
-"""How fluid Studio is with images of 18 megapixels: the relief enlarged, in real Chromium.
+"""Measures how smoothly Studio runs with images of 18 megapixels (the enlarged relief) in real Chromium.
 
     python benchmarks/walk/large.py -o PICTURES [--megapixels 18]
 
-Printed: seconds until the folder, the preview and the image to draw on stand, and the time between two frames (median, 95th
-percentile, largest, ms) while somebody does nothing, paints, moves and zooms, undoes, saves and has the edge looked for.
+Prints the seconds until the folder, the preview and the image to draw on are shown, and the time between two frames (median, 95th
+percentile, largest, ms) while a person does nothing, paints, zooms, moves, undoes, saves and finds the edge.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from matplotlib.image import imread
 from scipy import ndimage
 from studio import ROOT, served
 
-#: Notes the time of every frame in window.frames.
+#: Script that stores the time of every frame in window.frames.
 _WATCH = "() => { window.frames = []; const note = (now) => { window.frames.push(now); requestAnimationFrame(note); }; requestAnimationFrame(note); }"
 
 
 def large_folder(folder: Path, megapixels: float) -> Path:
-    """The relief's images, enlarged, with new noise: what is smooth would be sent faster than photographs are."""
+    """The relief's images, enlarged, with new noise. Smooth images would compress better and be sent faster than photographs."""
     (folder / "pol").mkdir(parents=True)
     random = np.random.default_rng(0)
     for path in sorted((ROOT / "examples" / "relief" / "pol").glob("*.png")):
@@ -37,14 +37,14 @@ def large_folder(folder: Path, megapixels: float) -> Path:
 
 
 def told(page: Any, name: str, since: float) -> None:
-    """Frames since they were last told."""
+    """Print the times between the frames since the last call."""
     page.wait_for_timeout(500)
     gaps = np.diff(page.evaluate("() => { const all = window.frames; window.frames = []; return all; }"))
     print(f"{name:10} {time.monotonic() - since:6.1f} s  frames {len(gaps):4}: {np.median(gaps):5.0f} {np.percentile(gaps, 95):5.0f} {gaps.max():5.0f} ms", flush=True)  # fmt: skip
 
 
 def draw(page: Any) -> None:
-    """Everything that is done with the pointer, and what waits for the server."""
+    """All actions with the pointer, and actions that wait for the server."""
     tools, box = page.locator("#tools"), page.locator("#draw-stage").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.evaluate(_WATCH)
@@ -69,7 +69,7 @@ def draw(page: Any) -> None:
         ),
         "the edge": lambda: (
             tools.get_by_role("button", name="Find the edge").click(),
-            # The relief has none; what waits is the same.
+            # The relief has no edge to find, but the waiting time is the same.
             page.locator("#draw-state", has_text="Finding").wait_for(),
             page.locator("#draw-state", has_not_text="Finding").wait_for(state="attached"),
         ),

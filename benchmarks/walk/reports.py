@@ -1,9 +1,9 @@
-"""Reports as they are read: on a screen, on a phone of 390 px, and printed.
+"""Examines reports as readers see them: on a screen, on a phone 390 px wide, and printed.
 
     python benchmarks/walk/reports.py WORK... -o PICTURES
 
-PICTURES gets NAME_screen.png, NAME_phone.png, NAME.pdf and its pages (pdftoppm). Printed: what axe-core finds that is serious,
-controls that Tab does not reach, and pages wider than their window. Exit code 1 if there is any.
+Writes NAME_screen.png, NAME_phone.png, NAME.pdf and pictures of its pages (pdftoppm) into PICTURES. Prints serious findings of axe-core,
+controls that Tab does not reach, and pages wider than their window. The exit code is 1 if there are any.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SCREEN, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 
 
 def settled(page: Any) -> None:
-    """Scroll through the page, so that what is made when it is seen is there."""
+    """Scroll through the page, so that parts that are only drawn when visible are complete."""
     height = page.evaluate("document.documentElement.scrollHeight")
     for y in range(0, height, 700):
         page.evaluate(f"scrollTo(0, {y})")

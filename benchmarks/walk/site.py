@@ -1,9 +1,9 @@
-"""Every written page of the site (scripts/site first), opened on a screen and on a phone.
+"""Opens every hand-written page of the site (run scripts/site first) on a screen and on a phone.
 
     .venv/bin/python benchmarks/walk/site.py -o PICTURES [PAGE.html ...]
 
-Leaves a picture of each. Says what axe calls serious, what asks the network, pictures and files that are missing, and pages that are
-wider than the phone. Exit code 1 if there is any. The C++ reference, which Doxygen makes, is not opened.
+Writes a picture of each page. Prints serious findings of axe, requests to the network, missing pictures and files, and pages wider than
+the phone. The exit code is 1 if there are any. The C++ reference, which Doxygen generates, is not opened.
 """
 
 from __future__ import annotations

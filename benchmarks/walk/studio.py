@@ -1,11 +1,11 @@
-"""From a folder to the report in Malus Studio and real Chromium, timed, with a picture of every step.
+"""Walks from a folder to the report in Malus Studio in real Chromium, with the time and a picture of every step.
 
     python benchmarks/walk/studio.py -o PICTURES [--folders relief coin raw] [--fusion grid]
 
-The relief and the coin are the examples', walked with a mouse; the folder of RAW files is the relief as DNG files of a Bayer sensor
-with a table of angles, walked with the keyboard alone. Printed: seconds since the folder was opened, and all that axe-core
-finds that is serious. Pages are then shown in dark colors at 200 %. What was made is left in PICTURES/folders. Exit code 1 if
-anything was found.
+The relief and the coin of the examples are processed with a mouse. The folder of RAW files is the relief as DNG files of a Bayer sensor
+with a table of angles; it is processed with the keyboard alone, and its pages are finally shown in dark colors at 200 %. Prints the
+seconds since the folder was opened and the serious findings of axe-core. The folders stay in PICTURES/folders. The exit code is 1 if
+there are findings.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PAGES = ("Images", "Station", "Draw", "Options", "Run", "Results")
 
 
 def folder_of(kind: str, parent: Path) -> Path:
-    """A folder as a person brings it: images, cameras and cloud, no station file."""
+    """Creates a folder as a new user has it: images, cameras and cloud, but no station file."""
     from test_raw import write_dng
 
     source, folder = ROOT / "examples" / ("coin" if kind == "coin" else "relief"), parent / kind
@@ -51,7 +51,7 @@ def folder_of(kind: str, parent: Path) -> Path:
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """A Studio for the folder; its address."""
+    """Runs Studio for the folder; gives its address."""
     words = [sys.executable, "-m", "malus", "studio", str(folder), "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -83,7 +83,7 @@ def create(person: Person) -> None:
 
 
 def mask_of_the_coin(person: Person) -> None:
-    """Roughly painted, then cut out along its edge."""
+    """Paints the coin roughly, then cuts it out along its edge."""
     page = person.page
     go(person, "Draw")
     person.press(page.locator("[data-tool=polygon]"))
@@ -100,7 +100,7 @@ def mask_of_the_coin(person: Person) -> None:
 
 
 def profile(person: Person) -> None:
-    """A line across the middle, by two presses."""
+    """Draws a line across the middle of the image."""
     page = person.page
     go(person, "Draw")
     person.choose(page.locator("#draw-what"), "profile")
@@ -133,12 +133,12 @@ def run(person: Person, fusion: str) -> None:
     person.pictured("done")
     person.press(shown)
     page.frame_locator("iframe").get_by_text("Confidence").first.wait_for()
-    page.wait_for_timeout(2000)  # the viewer's first picture
+    page.wait_for_timeout(2000)  # until the viewer shows its first picture
     person.pictured("report", whole=True)
 
 
 def large_and_dark(person: Person) -> None:
-    """All pages in dark colors, at what 200 % leaves of the window."""
+    """Shows all pages in dark colors, in half of the window as at a zoom of 200 %."""
     page = person.page
     page.emulate_media(color_scheme="dark")
     page.set_viewport_size({"width": 640, "height": 450})

@@ -13,7 +13,7 @@ namespace malus::python {
 
 namespace py = pybind11;
 
-/// Array types that pybind11 converts to on the way in: C-contiguous, of the library's element type.
+/// Type to which pybind11 converts incoming arrays: C-contiguous, with the library's element type.
 template <class T>
 using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
 
@@ -27,8 +27,8 @@ Image<T> to_image(const Array<T>& array) {
   return image;
 }
 
-/// The image's own memory for numpy, H×W or H×W×C; None for an empty image. The array keeps it alive and is read-only
-/// if anything else holds it.
+/// A numpy array, H×W or H×W×C, that shares the image's memory; None for an empty image. The array keeps the image
+/// alive, and is read-only if the image has other owners.
 template <class T>
 py::object to_array(std::shared_ptr<const Image<T>> image) {
   if (image->empty()) return py::none();
@@ -43,13 +43,14 @@ py::object to_array(std::shared_ptr<const Image<T>> image) {
   return array;
 }
 
-/// Hands the image's memory to numpy.
+/// Moves the image's memory into a numpy array.
 template <class T>
 py::object to_array(Image<T>&& image) {
   return to_array<T>(std::make_shared<const Image<T>>(std::move(image)));
 }
 
-/// The image's own memory for numpy, read-only; `owner` is the Python object that holds it and lives as long.
+/// A read-only numpy array that shares the image's memory. The array keeps `owner`, the Python object that holds the
+/// image, alive.
 template <class T>
 py::object view_of(const Image<T>& image, const py::object& owner) {
   py::array_t<T> view({static_cast<py::ssize_t>(image.height()), static_cast<py::ssize_t>(image.width())}, image.data(),
@@ -62,8 +63,8 @@ py::object view_of(const Image<T>& image, const py::object& owner) {
 
 namespace pybind11::detail {
 
-/// An array (H, W) or (H, W, C) is an Image in C++: copied on the way in; on the way out its memory is handed over, or
-/// copied if its owner keeps it.
+/// Converts between arrays (H, W) or (H, W, C) and Image. Arrays are copied into an Image. A temporary Image moves its
+/// memory into the array, any other Image is copied.
 template <class T>
 struct type_caster<malus::Image<T>> {
   PYBIND11_TYPE_CASTER(malus::Image<T>, const_name("numpy.ndarray"));

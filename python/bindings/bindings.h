@@ -4,7 +4,7 @@
 
 namespace malus::python {
 
-// One source a room of the library; each adds its functions to the extension.
+// Each room of the library has one source file here, whose function adds the bindings to the extension.
 void bind_io(pybind11::module_& module);
 void bind_capture(pybind11::module_& module);
 void bind_polarization(pybind11::module_& module);

@@ -14,7 +14,7 @@
 
 namespace malus::python {
 
-/// model, width, height, params, rotation, translation of a malus.Camera.
+/// Values of a malus.Camera: model, width, height, params, rotation, translation.
 using CameraValues = std::tuple<std::string, int, int, std::vector<double>, Eigen::Matrix3d, Eigen::Vector3d>;
 
 /// Lens and pose of a malus.Camera, checked; `name` is for messages.
@@ -62,7 +62,7 @@ inline pybind11::object to_python(const RasterView& view) {
 
 namespace pybind11::detail {
 
-/// A malus.Camera without distortion is a RasterView in C++, both ways.
+/// Converts between a malus.Camera without distortion and RasterView.
 template <>
 struct type_caster<malus::python::RasterView> {
   PYBIND11_TYPE_CASTER(malus::python::RasterView, const_name("malus.camera.Camera"));

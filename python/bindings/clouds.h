@@ -17,7 +17,7 @@ std::vector<Row> to_rows(const Array<T>& array) {
   return rows;
 }
 
-/// N×3 array of rows of three.
+/// N×3 array from N rows of three values.
 template <class T, class Row>
 py::array_t<T> to_array(const std::vector<Row>& rows) {
   py::array_t<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
@@ -28,7 +28,7 @@ py::array_t<T> to_array(const std::vector<Row>& rows) {
   return array;
 }
 
-/// N×3 points, with a normal or a color each if they have any.
+/// Cloud from N×3 points, optionally with a normal or a color for each point.
 inline PointCloud to_cloud(const Array<double>& points, const std::optional<Array<float>>& normals = {},
                            const std::optional<Array<std::uint8_t>>& colors = {}) {
   PointCloud cloud{to_rows<Eigen::Vector3d>(points), {}, {}};
@@ -37,7 +37,7 @@ inline PointCloud to_cloud(const Array<double>& points, const std::optional<Arra
   return cloud;
 }
 
-/// Vertices and M×3 indices of them; the Python side has checked their bounds.
+/// Mesh from vertices and M×3 vertex indices; the Python side has checked the bounds of the indices.
 inline TriangleMesh to_mesh(PointCloud vertices, const Array<std::uint32_t>& triangles) {
   return {std::move(vertices), to_rows<std::array<std::uint32_t, 3>>(triangles)};
 }

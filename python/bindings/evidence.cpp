@@ -27,7 +27,7 @@ py::dict to_dict(const Finding& finding) {
   return result;
 }
 
-/// H×W×4 of the parts: u, v, disagreement, its standard deviation.
+/// An H×W×4 array of the parts of the image: u, v, disagreement, standard deviation of the disagreement.
 py::array_t<double> parts_array(const PhaseAgreement& agreement) {
   constexpr py::ssize_t side = PhaseAgreement::parts_per_side;
   py::array_t<double> array({side, side, py::ssize_t{4}});

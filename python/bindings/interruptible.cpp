@@ -26,7 +26,7 @@ class Mailbox {
     closed_ = true;
     changed_.notify_one();
   }
-  /// Waits up to 100 ms; returns false once closed and empty.
+  /// Waits up to 100 ms for events; returns false once the mailbox is closed and empty.
   bool take(std::deque<Event>& events) {
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, std::chrono::milliseconds(100), [&] { return closed_ || !events_.empty(); });

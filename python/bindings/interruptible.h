@@ -19,7 +19,7 @@ namespace py = pybind11;
 void run_interruptible(int threads, const py::object& on_progress, const py::object& on_log,
                        const std::function<void(const Context&)>& compute);
 
-/// What a computation returns that runs so without callbacks.
+/// Runs a computation with run_interruptible, without callbacks, and returns its result.
 template <class Compute>
 auto computed(int threads, Compute&& compute) {
   std::optional<std::invoke_result_t<Compute, const Context&>> result;

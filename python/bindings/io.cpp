@@ -14,7 +14,7 @@
 namespace malus::python {
 namespace {
 
-/// Pose and figures of a camera whose own pose is not used; points N×3, pixels N×2.
+/// Pose and figures of a camera from known points. The pose in `camera` is ignored. Points 3×N, pixels 2×N.
 py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd& points, const Eigen::Matrix2Xd& pixels,
                   const CameraValues& camera) {
   const LensCamera lens = to_camera(camera, "camera").first;

@@ -13,7 +13,7 @@ namespace py = pybind11;
 
 namespace {
 
-/// Name in malus.errors of the exception for an error code.
+/// Name of the exception in malus.errors for an error code; nullptr for KeyboardInterrupt.
 const char* exception_name(malus::ErrorCode code) {
   switch (code) {
     case malus::ErrorCode::input:
@@ -30,7 +30,7 @@ const char* exception_name(malus::ErrorCode code) {
   return nullptr;
 }
 
-/// Raises one of malus.errors; names of files in the message need not be UTF-8.
+/// Raises an exception of malus.errors. File names in the message need not be UTF-8.
 void raise(const char* name, const std::string& message) {
   const py::object type = py::module_::import("malus.errors").attr(name);
   const auto text = py::reinterpret_steal<py::object>(

@@ -25,7 +25,7 @@ namespace {
 
 /// Index of the photo, x, y, standard deviation in px.
 using MarkValues = std::tuple<std::size_t, double, double, double>;
-/// Name, distance, its standard deviation, marks of both ends, whether it is held out.
+/// Name, distance, its standard deviation, marks of both ends, whether the distance only serves as a check.
 using DistanceValues = std::tuple<std::string, double, double, std::vector<MarkValues>, std::vector<MarkValues>, bool>;
 
 std::vector<PointMark> to_marks(const std::vector<MarkValues>& values) {
@@ -46,7 +46,7 @@ std::vector<MarkedView> to_views(const ViewValues& views) {
   return marked;
 }
 
-/// Name, coordinates, marks, whether it is held out.
+/// Name, coordinates, marks, whether the point only serves as a check.
 using KnownPointValues = std::tuple<std::string, Eigen::Vector3d, std::vector<MarkValues>, bool>;
 
 py::object datum_of(const ViewValues& views, const std::vector<KnownPointValues>& values) {
@@ -88,7 +88,7 @@ py::list matches_of(const std::vector<Array<std::uint8_t>>& photos,
   return result;
 }
 
-/// name → (camera and pose, keypoints, keypoints that see a point)
+/// name → (camera and pose, number of keypoints, number of keypoints that see a point)
 py::dict images_of(const ColmapModel& model) {
   py::dict images;
   for (const auto& [id, image] : model.images) {
@@ -100,7 +100,7 @@ py::dict images_of(const ColmapModel& model) {
   return images;
 }
 
-/// Positions (N×3), reprojection errors in px (N) and numbers of photos (N).
+/// Positions (N×3), reprojection errors in px (N) and numbers of observations (N) of all points.
 py::tuple points_of(const ColmapModel& model) {
   const auto count = static_cast<py::ssize_t>(model.points.size());
   py::array_t<double> positions({count, py::ssize_t{3}});
@@ -116,8 +116,8 @@ py::tuple points_of(const ColmapModel& model) {
   return py::make_tuple(positions, errors, lengths);
 }
 
-/// Refines a model in place. pictures: name → its file or intensity; freedom: name of an image → what of its lens is
-/// adjusted.
+/// Refines a model in place. pictures: image name → file or intensity. freedom: image name → which lens parameters are
+/// adjusted: "all", or all except the principal point.
 py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pictures, const std::string& preferred,
                 const std::map<std::string, std::string>& freedom, const Options& options, int threads,
                 const py::object& on_log) {

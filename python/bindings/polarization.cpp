@@ -27,7 +27,7 @@ PolarizationState decompose_arrays(const std::vector<Array<Sample>>& arrays, con
   });
 }
 
-/// One of two functions: the images' type decides.
+/// Binds decompose for images of one sample type.
 template <class Sample>
 void bind_decompose(py::module_& module, const char* name) {
   module.def(name, &decompose_arrays<Sample>, py::arg("images"), py::arg("angles_rad"), py::arg("mask"),
@@ -35,7 +35,7 @@ void bind_decompose(py::module_& module, const char* name) {
              py::arg("threads"));
 }
 
-/// Getter of a raster of a state: the state's own memory.
+/// Getter of a raster of a state. The array shares the state's memory.
 template <class T>
 auto raster(Image<T> PolarizationState::*member) {
   return [member](const py::object& self) { return view_of(self.cast<const PolarizationState&>().*member, self); };

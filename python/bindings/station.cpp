@@ -26,7 +26,7 @@
 namespace malus::python {
 namespace {
 
-/// `tables`: JSON, see read_given_station.
+/// A station from arrays. `tables`: JSON, see read_given_station.
 Station station_from_arrays(std::vector<Image<float>>& images, const CameraValues& camera, const std::string& tables,
                             const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
@@ -42,36 +42,38 @@ Station station_from_arrays(std::vector<Image<float>>& images, const CameraValue
   return station;
 }
 
-/// The station with the camera and, once it is swept, the prior that its photos gave, and what is to be reported of
-/// them.
+/// The station with the camera and, after the sweep, the prior from its photos, with the photogrammetry's figures for
+/// the report. swept: the rasters of a SweptDepth by name, without those that are empty.
 Station with_photogrammetry(const Station& station, const CameraValues& camera,
-                            const std::optional<Image<float>>& depth, const std::optional<Image<float>>& sigma,
-                            const std::optional<Image<float>>& shape, const std::string& figures,
+                            std::optional<std::map<std::string, Image<float>>>& swept, const std::string& figures,
                             const std::string& times, const std::vector<std::string>& warnings) {
   Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
   result.file.camera = CameraSpec{lens, pose};
-  if (depth && sigma) result.prior = SweptDepth{*depth, *sigma, shape.value_or(Image<float>())};
+  if (swept) {
+    const auto take = [&](const char* name) { return std::move((*swept)[name]); };
+    result.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
+  }
   result.photogrammetry = Photogrammetry{figures, times, warnings};
   return result;
 }
 
-/// The station with other pixels whose intensities are shown against the angle.
+/// The station with other pixels for the curves of intensity against polarizer angle.
 Station with_curves_of(const Station& station, const std::vector<std::array<double, 2>>& pixels) {
   Station result = station;
   result.file = with_curve_pixels(std::move(result.file), pixels);
   return result;
 }
 
-/// The station with a cloud in place of the file that it names.
+/// The station with a cloud as prior in place of the prior's file.
 Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
   Station result = station;
   result.prior = to_cloud(points, normals);
   return result;
 }
 
-/// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. Noise in
-/// electrons where the files say it and the station does not.
+/// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. The noise figures
+/// of the RAW files (electrons) are used only if the station states none.
 Station with_developed(const Station& station, const std::vector<std::string>& images,
                        std::optional<double> full_well_e, std::optional<double> read_noise_e) {
   Station result = station;
@@ -84,7 +86,7 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
   return result;
 }
 
-/// The station with doubts about its files, as messages and suggestions.
+/// The station with warnings about its files, each with message and suggestion.
 Station with_file_doubts(const Station& station, const std::vector<std::pair<std::string, std::string>>& doubts) {
   Station result = station;
   for (const auto& [message, suggestion] : doubts)
@@ -92,8 +94,8 @@ Station with_file_doubts(const Station& station, const std::vector<std::pair<std
   return result;
 }
 
-/// A run by the names of malus.Result, None for what was not made, and `results`, to be given to another run. `pose`:
-/// what the station says of it.
+/// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
+/// another run. `pose`: the camera's pose from the station.
 py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
   py::dict result;
   const auto maps = [&]<class T, class... Maps>(const std::shared_ptr<const T>& of, const Maps&... named) {
@@ -175,8 +177,8 @@ void bind_run(py::module_& module) {
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
       .def("with_curves_of", &with_curves_of, py::arg("pixels"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
-      .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("prior_depth"),
-           py::arg("prior_sigma"), py::arg("prior_shape"), py::arg("figures"), py::arg("times"), py::arg("warnings"));
+      .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("swept"), py::arg("figures"),
+           py::arg("times"), py::arg("warnings"));
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");
   module.def("photos_tables", [](const std::string& path) {
     const StationFile file = read_photos_tables(path);

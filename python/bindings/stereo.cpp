@@ -12,6 +12,7 @@
 #include "interruptible.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/stereo/surface_sweep_internal.h"
+#include "malus/stereo/visual_hull_internal.h"
 #include "photos.h"
 #include "words.h"
 
@@ -63,6 +64,21 @@ void bind_stereo(py::module_& module) {
                result["passes"] = by_fields(found.passes);
                return result;
              });
+  module.def("visual_hull", [](const CameraValues& station_camera, const Mask& mask,
+                               const std::vector<std::pair<std::string, CameraValues>>& silhouettes, int threads,
+                               const py::object& on_progress) {
+    const auto [camera, pose] = to_camera(station_camera, "camera");
+    VisualHull hull;
+    run_interruptible(threads, on_progress, py::none(), [&](const Context& context) {
+      std::vector<Silhouette> outlines(silhouettes.size());
+      parallel_for(context, outlines.size(), 1, [&](std::size_t k, std::size_t) {
+        auto [view, view_pose] = to_camera(silhouettes[k].second, silhouettes[k].first);
+        outlines[k] = {read_mask(silhouettes[k].first), std::move(view), view_pose};
+      });
+      hull = visual_hull(camera.pinhole(), pose, mask, outlines, context);
+    });
+    return py::make_tuple(std::move(hull.depth), std::move(hull.sigma));
+  });
 }
 
 }  // namespace malus::python

@@ -12,6 +12,7 @@
 #include "malus/surface/dem_file_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
+#include "malus/surface/tangent_plane_mean_internal.h"
 #include "words.h"
 
 namespace malus::python {
@@ -31,6 +32,17 @@ void bind_surface(py::module_& module) {
     result["triangles"] = to_array<std::uint32_t>(mesh.triangles);
     return result;
   });
+  module.def("tangent_plane_mean",
+             [](const Array<double>& at, const Array<double>& normals, const std::vector<double>& reach,
+                const Eigen::Vector3i& first, int side, double least_weight, int threads) {
+               const LatticePoints points{to_rows<Eigen::Vector3d>(at), to_rows<Eigen::Vector3d>(normals), reach};
+               const std::vector<float> distances = computed(threads, [&](const Context& context) {
+                 return tangent_plane_mean(points, {first, side}, least_weight, context);
+               });
+               py::array_t<float> cube({side, side, side});
+               std::copy(distances.begin(), distances.end(), cube.mutable_data());
+               return cube;
+             });
   module.def("display_image", [](const Image<float>& color, const Image<float>& depth, double white_percentile) {
     return display_image(color, depth, white_percentile, {});
   });

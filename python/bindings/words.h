@@ -11,8 +11,8 @@
 
 namespace malus::python {
 
-/// A struct that lists its fields (core/field_list.h) as a dict of them, a vector of such as a list of dicts, a vector
-/// in space as a list of numbers, a choice or status as its name.
+/// Converts a struct that lists its fields (core/field_list.h) to a dict, a std::vector of such structs to a list of
+/// dicts, an Eigen vector to a list of numbers, and an enumeration with names to the name.
 template <class T>
 pybind11::object by_fields(const T& value) {
   if constexpr (requires { T::fields(value, [](auto&&...) {}); }) {
@@ -36,7 +36,7 @@ pybind11::object by_fields(const T& value) {
 
 namespace pybind11::detail {
 
-/// Options are their JSON in Python.
+/// In Python, options are passed as their JSON text.
 template <>
 struct type_caster<malus::Options> {
   PYBIND11_TYPE_CASTER(malus::Options, const_name("str"));

@@ -64,9 +64,7 @@ class Station:
     def with_photogrammetry(
         self,
         camera: _CameraValues,
-        prior_depth: _Float32 | None,
-        prior_sigma: _Float32 | None,
-        prior_shape: _Float32 | None,
+        swept: dict[str, _Float32] | None,
         figures: str,
         times: str,
         warnings: list[str],
@@ -167,6 +165,13 @@ def adjust_scale(
         tuple[str, float, float, list[tuple[int, float, float, float]], list[tuple[int, float, float, float]], bool]
     ],
 ) -> dict[str, Any]: ...
+def visual_hull(
+    camera: _CameraValues,
+    mask: _Bytes,
+    silhouettes: list[tuple[str, _CameraValues]],
+    threads: int,
+    progress: Callable[[str, float, str], None] | None,
+) -> tuple[_Float32, _Float32]: ...
 def sweep_surface(
     intensity: _Float32,
     camera: _CameraValues,
@@ -379,6 +384,9 @@ def refine(
 ) -> FusedSurface: ...
 def normals_from_depth(depth: _Float32, camera: Camera, threads: int) -> _Float32: ...
 def mesh_from_depth(surface: FusedSurface, color: _Float32 | None, options: str, threads: int) -> dict[str, Any]: ...
+def tangent_plane_mean(
+    at: _Float64, normals: _Float64, reach: _Float64, first: Sequence[int], side: int, least_weight: float, threads: int
+) -> _Float32: ...
 def display_image(color: _Float32, depth: _Float32, white_percentile: float) -> _Bytes: ...
 def dem_from_mesh(
     vertices: _Float64, triangles: NDArray[np.uint32], surface: FusedSurface, options: str, threads: int

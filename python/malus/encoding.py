@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, ImageCms
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
 
 from malus import raw
 from malus.exif import tags_of
@@ -33,11 +35,7 @@ def encoding_of(path: Path) -> Encoding | None:
     if raw.is_raw(path):
         return Encoding(True, "RAW files are linear")
     tags = tags_of(path)
-    try:
-        with Image.open(path) as image:
-            info, kind = dict(image.info), image.format
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
-        info, kind = {}, "TIFF"  # Pillow cannot read this kind of file, but `tags_of` could
+    info, kind = _entries_of(path)
     profile = info.get("icc_profile") or tags.get(_ICC_PROFILE)
     if isinstance(profile, bytes):
         return _of_profile(profile)
@@ -51,6 +49,24 @@ def encoding_of(path: Path) -> Encoding | None:
     if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
         return Encoding(False, "it is a JPEG file of a camera")
     return None
+
+
+def _entries_of(path: Path) -> tuple[dict[str | tuple[int, int], Any], str]:
+    """Entries and format of a JPEG or PNG file; of any other file no entries: those of TIFF files are among their tags.
+
+    Not with Image.open, which refuses large images although only the header is read.
+    """
+    with path.open("rb") as file:
+        start = file.read(2)
+        file.seek(0)
+        plugin = {b"\xff\xd8": JpegImageFile, b"\x89P": PngImageFile}.get(start)
+        if plugin is None:
+            return {}, "TIFF"
+        try:
+            with plugin(file) as image:
+                return dict(image.info), str(image.format)
+        except (OSError, ValueError, SyntaxError):
+            return {}, "TIFF"
 
 
 def _of_profile(profile: bytes) -> Encoding | None:

@@ -205,7 +205,7 @@ def _with_photos(
 
     def fuse(first: photogrammetry.Swept) -> photogrammetry.FusedOnce:
         """Fuse in memory: the workspace holds the steps of the fusion with the last sweep, which repeat the warnings of this one."""
-        core = station.with_photogrammetry(lens.values(), first.depth, first.sigma, None, "{}", "{}", [])
+        core = station.with_photogrammetry(lens.values(), first.rasters(), "{}", "{}", [])
         outcome = _core.reconstruct(
             core, options.to_json(), None, False, "fuse", None, True, images["results"], threads,
             lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"), None,
@@ -238,7 +238,7 @@ def _with_photos(
             )
         else:
             # Now that the lens is known, the images can be undistorted.
-            placed = station.with_photogrammetry(lens.values(), None, None, None, "{}", "{}", [])
+            placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [])
             images = run(placed, "polarization")
         swept = photogrammetry.sweep_station(
             cameras,
@@ -254,9 +254,7 @@ def _with_photos(
         )
     figures = {**cameras.figures, "sweep": swept.figures}
     times = {"photos": cameras.times, "sweep": swept.times}
-    return station.with_photogrammetry(
-        lens.values(), swept.depth, swept.sigma, swept.shape, json.dumps(figures), json.dumps(times), warnings
-    )
+    return station.with_photogrammetry(lens.values(), swept.rasters(), json.dumps(figures), json.dumps(times), warnings)
 
 
 def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Options) -> dict[str, Any]:

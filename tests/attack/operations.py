@@ -1,9 +1,9 @@
-"""Attack on single operations on files: each of them fails, as on a network's disk or over a quota, or is the run's last.
+"""Attack on single file operations: one of them fails, as on a network disk or over a quota, or the run is killed at it.
 
-strace counts a run's operations, chooses one at random, and lets the system refuse it, or kill the program at it: far more
-kinds of failures, and in far narrower places, than disks that are full and kills at random moments. After each the run is
-repeated, and must leave what an undisturbed one leaves, bit for bit. Where a process may not watch another, as in some
-containers, all of it is left out, which is said.
+strace counts a run's operations. At one of them, chosen at random, strace makes the system refuse it or kill the program.
+This reaches far more kinds of failures, and far narrower places, than full disks and kills at random moments. After each
+attack the run is repeated and must leave what an undisturbed run leaves, bit for bit. Where a process may not watch another
+one, as in some containers, the attack prints so and does nothing.
 
     operations.py PROGRAM FOLDER --seconds N [--seed S]
 """
@@ -19,8 +19,8 @@ from collections import Counter
 
 from programs import Attack, attacks_on_station, parser_of_attack
 
-#: Operation → what the system may say of it. ESTALE, EBUSY: another machine moved or holds the file; EDQUOT: the quota is
-#: used up, of which a network's disk tells at fsync and close only.
+#: Operation → errors that the system may return. ESTALE, EBUSY: another machine moved or holds the file; EDQUOT: the quota
+#: is used up, which a network disk reports at fsync and close only.
 ERRORS = {
     "openat": ("EACCES", "EIO", "EMFILE", "ENOSPC", "ESTALE"),
     "write": ("EDQUOT", "EIO", "ENOSPC", "ESTALE"),
@@ -33,12 +33,12 @@ ERRORS = {
     "mkdir": ("EACCES", "EDQUOT", "EROFS"),
 }
 KILLED = "signal=SIGKILL"
-#: The loader's own code, before a program begins.
+#: Exit code of the loader if the program cannot begin.
 NOT_LOADED = 127
 
 
 class Operations:
-    """The operations of one way to work on a station."""
+    """The file operations of one attack's run."""
 
     def __init__(self, attack: Attack) -> None:
         self.attack = attack
@@ -62,7 +62,7 @@ class Operations:
         shutil.rmtree(work)
 
     def _counted(self) -> dict[str, int]:
-        """How often the first process of a run does each: strace counts each thread's on its own."""
+        """How often the first thread of a run does each operation: strace counts for each thread separately."""
         work = self.attack.new_folder("work")
         log = self.attack.folder / "operations.txt"
         command = ["strace", "-f", "-qq", "-e", f"trace={','.join(ERRORS)}", "-o", str(log)]

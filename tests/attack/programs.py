@@ -1,8 +1,8 @@
-"""Attack on whole runs: kills at random moments (of a campaign also of its shards, workers and scheduler), limits of memory
-and of file size at many levels, disks that are full, read-only or forbidden at every step.
+"""Attack on whole runs: kills at random moments (in a campaign also of shards, workers and scheduler), limits of memory and
+of file size at many levels, disks that are full, read-only or without permission after every step.
 
-After each the run is repeated without the attack, and must leave what an undisturbed run leaves, bit for bit. Small disks
-and limits of a control group take root's rights; without them they are left out, which is said.
+After each attack the run is repeated undisturbed and must leave what an undisturbed run leaves, bit for bit. Small disks and
+control groups need root's rights; without these rights the program says so and leaves those attacks out.
 
     programs.py PROGRAM FOLDER --seconds N [--seed S]
 """
@@ -35,28 +35,28 @@ from PIL import Image
 from malus import Options, _core, synthetic
 
 MB = 1 << 20
-#: Levels of address space and of the size of one file, from where the program just starts to where nothing is refused.
+#: Levels of address space and of file size, from the least with which the program starts to one that refuses nothing.
 ADDRESS_SPACE_MB = [60, 80, 100, 128, 160, 200, 240, 256, 272, 288, 304, 320, 340, 360, 380, 400, 430, 460, 500, 600]
 FILE_SIZE_KB = [0, 1, 4, 16, 32, 64, 96, 128, 256, 512, 1024]
-#: Of memory that is really used; the system kills what takes more.
+#: Levels of memory in use; the system kills a process that takes more.
 MEMORY_MB = [5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 90, 100, 120, 150]
 #: Free space on a disk as a step begins.
 FREE_KB = [0, 4, 40, 200]
-#: The loader's own, before a program begins.
+#: Exit code of the loader if the program cannot begin.
 NOT_LOADED = 127
-#: A run that takes longer has not ended by itself. A busy machine takes a hundred times as long as an idle one.
+#: A run that takes longer counts as hanging. A busy machine takes a hundred times as long as an idle one.
 LONGEST_S = 900
 NOBODY = 65534
-#: So many kills are told of at a time: a campaign that is ended by hand has a number, too.
+#: Counts are printed after each so many kills, so that an attack that is stopped by hand has them, too.
 KILLS_TOLD = 25
-#: What says when or where something was done, and differs from run to run.
+#: Files that say when or where something was done and so differ from run to run.
 NOT_COMPARED = ("manifest.json", ".lock")
 #: Time and memory of a step, in the report.
 TIMES = re.compile(rb"<td>[^<]* s(, [^<]* MB at the most)?(, finished [^<]*)?</td>")
 
 
 def state_of(work: Path) -> dict[str, str]:
-    """SHA-256 of everything that a run leaves, but what says when."""
+    """SHA-256 of every file that a run leaves, without the times in it."""
     files = [path for path in work.rglob("*") if path.is_file() and path.name not in NOT_COMPARED]
     return {
         str(path.relative_to(work)): hashlib.sha256(_without_times(path)).hexdigest()
@@ -70,7 +70,7 @@ def _without_times(path: Path) -> bytes:
 
 
 def tiny_station(folder: Path, *, seed: int = 0) -> Path:
-    """The smallest station there is, an object of 48 x 40 pixels: a run of it takes a fraction of a second."""
+    """The smallest possible station, with an object of 48 x 40 pixels: its run takes a fraction of a second."""
     station = synthetic.write_station(folder, 120, 120, seed=seed)
     mask = np.zeros((120, 120), np.uint8)
     mask[40:80, 36:84] = 255
@@ -93,7 +93,7 @@ def small_disk(folder: Path, options: str) -> Iterator[Path]:
 
 
 def may_mount(folder: Path) -> bool:
-    """Whether this process has root's rights, all of them: not in every container."""
+    """Whether this process has all of root's rights, which root lacks in some containers."""
     try:
         with small_disk(folder, "size=1m"):
             return os.geteuid() == 0
@@ -102,7 +102,7 @@ def may_mount(folder: Path) -> bool:
 
 
 def control_group() -> Path | None:
-    """A new control group whose memory can be limited, of version 2 or 1; None where there may be none."""
+    """A new control group whose memory can be limited, of version 2 or 1; None where none can be made."""
     for parent, file in (
         (Path("/sys/fs/cgroup"), "memory.max"),
         (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
@@ -131,7 +131,7 @@ def group_ended(group: int) -> bool:
 
 
 class Attack:
-    """One way to work on a station, and what it leaves if nothing disturbs it."""
+    """A command on a station, and the files that it leaves if nothing disturbs it."""
 
     def __init__(
         self,
@@ -142,7 +142,7 @@ class Attack:
         *,
         repeatable: bool = True,
     ) -> None:
-        """`command` of a workspace; `start`: what lies in it before. Of what is not repeatable only the files' names count."""
+        """`command`: of a workspace; `start`: folder with its initial files. If not `repeatable`, only the files' names are compared."""
         self.name, self.folder, self.command, self.start = name, folder, command, start
         self.repeatable = repeatable
         self.findings: list[str] = []
@@ -155,7 +155,7 @@ class Attack:
         self.expected = self.state_of(work)
 
     def state_of(self, work: Path) -> dict[str, str]:
-        """What a run leaves, as far as it is the same each time."""
+        """The files that a run leaves, with their hashes if the run is repeatable."""
         state = state_of(work)
         return state if self.repeatable else dict.fromkeys(state, "there")
 
@@ -164,20 +164,20 @@ class Attack:
         return sum(count for what, count in self.runs.items() if what.startswith("kills"))
 
     def expect(self, holds: bool, what: str) -> None:
-        """It is a finding unless it holds."""
+        """Record a finding unless `holds`."""
         if not holds:
             self.findings.append(what)
             print(f"FINDING: {self.name}: {what}", flush=True)
 
     def new_folder(self, name: str) -> Path:
-        """A workspace as a run finds it."""
+        """A new workspace with the initial files."""
         work = self.folder / name
         if self.start is not None:
             shutil.copytree(self.start, work)
         return work
 
     def run(self, work: Path, *more: str, before: Callable[[], None] | None = None) -> subprocess.CompletedProcess[str]:
-        """A run to its end; `before` is done in its process."""
+        """Run to the end; `before` is called in the run's process."""
         return subprocess.run(
             [*self.command(work), *more], capture_output=True, text=True, errors="replace", timeout=LONGEST_S,
             preexec_fn=before,
@@ -209,7 +209,7 @@ class Attack:
             self.expect(not wrong, f"{after}: {', '.join(wrong)} are not what {manifest} says is done")
 
     def refused(self, work: Path, what: str, codes: tuple[int, ...], before: Callable[[], None] | None = None) -> None:
-        """A run that ends with one of these codes, or 0; what looks finished afterwards is as the undisturbed run makes it."""
+        """Run: it must end with one of these codes or 0. A result that looks finished must be that of the undisturbed run."""
         try:
             done = self.run(work, before=before)
         except subprocess.TimeoutExpired:
@@ -217,7 +217,7 @@ class Attack:
             return
         self.expect(done.returncode in (0, *codes), f"{what}: ends with {done.returncode}: {done.stderr}")
         self.expect("Traceback" not in done.stderr, f"{what}: {done.stderr}")
-        # Its figures can be there, whole, although the disk had no room to record that the last step is done.
+        # quality.json can be complete although the disk had no room to record that the last step is done.
         quality = work / "quality.json"
         self.expect(
             not quality.exists() or hashlib.sha256(quality.read_bytes()).hexdigest() == self.expected["quality.json"],
@@ -225,7 +225,7 @@ class Attack:
         )
 
     def killed(self, moments_s: list[float]) -> None:
-        """Kills at these moments, one after the other."""
+        """Kill runs in one workspace at these moments, one after the other."""
         work = self.new_folder("work")
         for moment in moments_s:
             run = subprocess.Popen(
@@ -241,8 +241,8 @@ class Attack:
         shutil.rmtree(work)
 
     def killed_together(self, commands: dict[str, list[str]], victim: str, moment_s: float) -> None:
-        """One of several programs that work on it together is killed at this moment; the others end as they do, or are ended
-        when the last one, whose work it is, has ended.
+        """Kill one of several programs that work together in one workspace at this moment. The other programs end by themselves,
+        or are ended when the last one, for which they all work, has ended.
         """
         work = self.new_folder("work")
         runs = {
@@ -267,7 +267,7 @@ class Attack:
             run.terminate()
             try:
                 run.communicate(timeout=60)
-            except subprocess.TimeoutExpired:  # a worker of Dask's whose scheduler has ended first is deaf
+            except subprocess.TimeoutExpired:  # a Dask worker does not react if its scheduler has ended first
                 run.kill()
                 run.communicate()
             self.expect(group_ended(run.pid), f"{what}: processes that it started go on")
@@ -276,7 +276,7 @@ class Attack:
         shutil.rmtree(work)
 
     def limited(self, name: str, level: int, before: Callable[[], None], codes: tuple[int, ...]) -> None:
-        """A limit of the process."""
+        """Run with a limit of the process, which `before` sets."""
         self.runs[name] += 1
         work = self.new_folder("work")
         self.refused(work, f"{name} {level}", codes, before)
@@ -284,7 +284,7 @@ class Attack:
         shutil.rmtree(work, ignore_errors=True)
 
     def on_full_disk(self, step: str, free_kb: int) -> None:
-        """The disk is full but for so much once this step is done."""
+        """Run on a disk that is full except for `free_kb` once this step is done."""
         self.runs["full disks"] += 1
         what = f"{free_kb} KB left after {step}"
         with small_disk(self.folder / "disk", "size=64m") as disk:
@@ -297,7 +297,7 @@ class Attack:
             self.resume(work, what)
 
     def on_read_only_disk(self, step: str) -> None:
-        """The disk can only be read once this step is done."""
+        """Run on a disk that is read-only once this step is done."""
         self.runs["read-only disks"] += 1
         what = f"read-only after {step}"
         with small_disk(self.folder / "disk", "size=64m") as disk:
@@ -309,7 +309,7 @@ class Attack:
             self.resume(work, what)
 
     def without_permission(self, step: str) -> None:
-        """The workspace belongs to somebody else once this step is done."""
+        """Run as another user, who does not own the workspace, once this step is done."""
         self.runs["no permission"] += 1
         what = f"no permission after {step}"
         work = self.new_folder("work")
@@ -320,7 +320,7 @@ class Attack:
 
 
 def disturbances(attack: Attack) -> list[Callable[[], None]]:
-    """Everything that is done to malus-station once: limits at all levels, disks at all steps."""
+    """All attacks on malus-station that are made once: limits at all levels, disks at all steps."""
     tasks: list[Callable[[], None]] = []
 
     def limit(name: str, kind: int, level: int, value: int, codes: tuple[int, ...]) -> None:
@@ -358,7 +358,7 @@ QUIET = ["--quiet", "--threads", "2"]
 
 def attacks_on_station(program: Path, folder: Path) -> dict[str, Attack]:
     """malus-station with both fusions."""
-    # Where another user finds them too.
+    # Another user must be able to read program and station, too.
     folder.chmod(0o755)
     program = Path(shutil.copy(program, folder))
     station = tiny_station(folder / "station")
@@ -393,7 +393,7 @@ def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
 
 
 def attack_on_photos(folder: Path) -> Attack:
-    """A run from photographs: COLMAP, the sweep, the surface and the report. COLMAP's model is another one each time."""
+    """A run from photographs: COLMAP, the sweep, the surface and the report. COLMAP's model differs each time."""
     sys.path.append(str(Path(__file__).resolve().parents[1] / "python"))
     from conftest import demo_with_photos
 
@@ -404,7 +404,7 @@ def attack_on_photos(folder: Path) -> Attack:
 
 
 def killed_beside_others(batch: Attack, chance: random.Random) -> None:
-    """A campaign of which a shard is killed beside the other one, or a part of a Dask cluster."""
+    """Kill one of two shards of a campaign, or one program of a Dask cluster, while the other programs go on."""
     whole = batch.command(Path("WORK"))
     commands = {f"shard {k}": [*whole, "--shard", f"{k}/2"] for k in (1, 2)}
     if find_spec("distributed") is not None and chance.random() < 0.5:
@@ -423,7 +423,7 @@ def killed_beside_others(batch: Attack, chance: random.Random) -> None:
 
 
 def kill(attacks: dict[str, Attack], chance: random.Random) -> None:
-    """One to three kills of one of them by chance, the quicker ones more often."""
+    """Kill runs of one attack, chosen at random, one to three times. Quicker attacks are chosen more often."""
     if "batch" in attacks and chance.random() < 0.1:
         killed_beside_others(attacks["batch"], chance)
     [attack] = chance.choices(list(attacks.values()), [1 / attack.seconds**0.5 for attack in attacks.values()])
@@ -431,12 +431,12 @@ def kill(attacks: dict[str, Attack], chance: random.Random) -> None:
 
 
 def counts(attacks: dict[str, Attack]) -> str:
-    """What was done so far, of each."""
+    """The number of runs of each kind so far, for each attack."""
     return "; ".join(f"{name}: {dict(attack.runs)}" for name, attack in attacks.items())
 
 
 def parser_of_attack(description: str | None) -> argparse.ArgumentParser:
-    """Which program is attacked, where, for how long, and with which chance."""
+    """Which program is attacked, in which folder, for how long, and with which random seed."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("program", type=Path)
     parser.add_argument("folder", type=Path)

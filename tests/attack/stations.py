@@ -1,8 +1,8 @@
-"""Attack on the pipeline: random stations with exact truth, right and wrong ones.
+"""Attack on the pipeline: random stations with exact truth, correct and faulty ones.
 
-Whatever they are, a run ends or raises MalusError, and a result of high confidence is within three of its own standard
-deviations of the truth, up to the share of pixels below. Half of the stations are matte, well lit and without mistakes,
-so that many have high confidence; of the others anything may be odd or wrong.
+For every station, a run must end or raise MalusError, and a result of high confidence must be within three of its own
+standard deviations of the truth, except for the share of pixels below. Half of the stations are matte, well lit and without
+mistakes, so that many have high confidence; in the other half anything may be odd or wrong.
 
     stations.py --seconds N [--seed S]
     stations.py --stations N [--seed S]
@@ -28,11 +28,11 @@ from hypothesis import strategies as st
 import malus
 from malus import synthetic
 
-#: A normal distribution has 0.3 % beyond three sigma; sigma is known to a third, and edges of the relief are steeper than it says.
+#: A normal distribution has 0.3 % beyond three sigma; sigma is known to a third, and edges of the relief are steeper than sigma allows for.
 LARGEST_SHARE_BEYOND = 0.05
-#: Stations that hypothesis draws in a row. The first of a row is always the same one: in rows of three it was a third of all.
+#: Stations that hypothesis draws in a row. The first station of a row is always the same: in rows of three it was a third of all.
 ROW = 100
-#: So many stations are told of at a time: a campaign that is ended by hand has a number, too.
+#: A summary is printed after each so many stations, so that an attack that is stopped by hand has one, too.
 STATIONS_TOLD = 12
 #: Pixels at the border, which have neighbors on one side only.
 BORDER = 8
@@ -47,7 +47,7 @@ SENSORS = st.builds(
     full_well_e=st.sampled_from([2000.0, 20000.0]),
     frames_averaged=st.sampled_from([1, 16]),
 )
-#: From in front and from the side; sharp highlights and none; with the light of a room about it.
+#: Light from the front and from the side, sharp highlights and none, with and without surroundings.
 REFLECTANCES = st.builds(
     synthetic.Reflectance,
     refractive_index=st.floats(1.4, 1.8),
@@ -55,7 +55,7 @@ REFLECTANCES = st.builds(
     light=st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.just(-1.0)),
     sky=st.floats(0.0, 0.5),
 )
-#: Lines of the station file that are made wrong, or other than usual.
+#: Text of the station file and its replacement, which is wrong or unusual.
 CHANGES = st.sampled_from(
     [
         ("", ""),
@@ -81,7 +81,7 @@ OPTIONS = st.fixed_dictionaries(
 
 @dataclass(frozen=True)
 class Drawn:
-    """A station by chance, and how it is run."""
+    """A random station and the options of its run."""
 
     width: int
     height: int
@@ -126,7 +126,7 @@ WELL_MADE = st.builds(
     options=st.just({"fusion": "refined", "refine.surroundings": False}),
 )
 
-#: What was drawn: repeated stations say nothing more.
+#: Stations drawn so far: running one again would show nothing new.
 seen: set[str] = set()
 found: Counter[str] = Counter()
 #: Level of confidence → the largest share of pixels farther than three sigma from the truth.
@@ -134,7 +134,7 @@ worst: defaultdict[str, float] = defaultdict(float)
 
 
 def write(folder: Path, drawn: Drawn) -> Path:
-    """A synthetic station under the light that was drawn, changed."""
+    """Write a synthetic station with the sensor, reflectance and change that were drawn."""
     width, height, number = drawn.width, drawn.height, drawn.seed
     station = synthetic.write_station(
         folder, width, height, prior=drawn.prior, sensor=drawn.sensor, reflectance=drawn.reflectance, seed=number
@@ -149,7 +149,7 @@ def write(folder: Path, drawn: Drawn) -> Path:
 
 
 def share_beyond(result: malus.Result, station: Path) -> float:
-    """Pixels farther from the truth than three standard deviations."""
+    """Share of pixels farther from the truth than three standard deviations."""
     truth = np.load(station.parent / "gt/depth_normal_mask.npz")["depth"].astype(float)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     assert result.depth is not None and result.sigma is not None
@@ -159,7 +159,7 @@ def share_beyond(result: malus.Result, station: Path) -> float:
 
 
 def one_station(drawn: Drawn) -> None:
-    """A run of one station."""
+    """Run one station and check its result against the truth."""
     with tempfile.TemporaryDirectory(prefix="malus-attack-") as folder:
         chosen = malus.Options(fusion=drawn.options["fusion"])
         for name, value in drawn.options.items():
@@ -187,9 +187,9 @@ def summary() -> str:
 
 
 def attack_by(random_seed: int, more: Callable[[], bool]) -> int:
-    """Stations of one row as long as there are to be more; what hypothesis draws after that is passed over, as it knows no clock.
+    """Run the stations of one row while `more()` holds. Hypothesis knows no time limit: stations that it draws later are skipped.
 
-    Returns how many findings there were. Hypothesis is not told of them, or it would run each again and end the row.
+    Returns the number of findings. They are hidden from hypothesis, which would otherwise run each again and end the row.
     """
     findings = 0
 

@@ -1,5 +1,5 @@
-// A photogrammetry program that uses Malus from within: its own points, cameras and images go in, a mesh comes out, and
-// no file is read or written. It is built against an installed malus, outside its tree.
+// A photogrammetry program that uses Malus as a library: it passes its own points, cameras and images and gets a mesh,
+// without reading or writing a file. It is built outside the source tree, against an installed malus.
 #include <malus/core/version.h>
 #include <malus/station/reconstruct.h>
 #include <malus/surface/mesh.h>
@@ -39,7 +39,7 @@ malus::TriangleMesh measured_surface(std::vector<malus::Image<float>> images, st
   return malus::mesh_from_depth(*surface, measured->state->i_un, options.surface, context);
 }
 
-/// Median angle between the mesh's normals and the true ones, degrees.
+/// Median angle between the mesh's normals and the true normals, degrees.
 double median_error_deg(const malus::TriangleMesh& mesh, const View& view) {
   std::vector<double> angles;
   for (std::size_t i = 0; i < mesh.vertices.points.size(); ++i) {
@@ -64,7 +64,7 @@ double depth_error(const std::vector<Eigen::Vector3d>& points, const View& view)
   return std::sqrt(sum / static_cast<double>(points.size()));
 }
 
-/// Whether a wrong station is refused with the reason.
+/// Whether a station with only two angles is refused with a data error; prints the reason.
 bool refuses_two_angles() {
   const View view = polarized_view();
   try {
@@ -88,7 +88,8 @@ int main() try {
   const double normals = median_error_deg(mesh, view);
   std::printf("malus %s: %zu points, off by %.2f mm; %zu vertices, off by %.2f mm, normals by %.1f degrees\n",
               malus::version, points.points.size(), before, mesh.vertices.points.size(), after, normals);
-  // Every pixel but for a few at the border; the relief's slopes are 20 degrees and more.
+  // Nearly every pixel must have a vertex. Normals off by 4 degrees are good: the relief's slopes reach 20 degrees and
+  // more.
   const bool good = mesh.vertices.points.size() > 0.95 * static_cast<double>(view.camera.size.area()) &&
                     after < before && normals < 4;
   return good && refuses_two_angles() ? 0 : 1;

@@ -36,7 +36,7 @@ std::vector<View> photos() {
   return views;
 }
 
-/// Linear forward intersection: two equations a mark.
+/// Linear forward intersection with two equations per mark.
 Eigen::Vector3d intersect(const std::vector<View>& views, const std::vector<Eigen::Vector2d>& marks) {
   Eigen::MatrixX3d a(2 * views.size(), 3);
   Eigen::VectorXd b(2 * views.size());

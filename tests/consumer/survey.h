@@ -7,9 +7,9 @@
 
 #include <vector>
 
-// What the photogrammetry program around Malus knows, here of a carved plate that is computed, in millimeters.
+// Data that the photogrammetry program has before it calls Malus: here of a simulated carved plate, in millimeters.
 
-/// A camera and where it stands.
+/// A camera and its pose.
 struct View {
   malus::Pinhole camera;
   malus::Pose pose;  ///< cam_from_world

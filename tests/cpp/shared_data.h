@@ -4,7 +4,7 @@
 
 namespace malus {
 
-/// Folder of the rendered stations; absent in a plain checkout.
+/// Folder of data shared by the tests, such as rendered stations; a plain checkout does not contain it.
 std::filesystem::path shared_data();
 
 }  // namespace malus

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds libtiff, libpng and libjpeg as Debian has them, with the fuzz targets' instrumentation: FOLDER/lib and FOLDER/include.
-# The libraries below them (zlib, libwebp, ...) are the system's, without it.
+# Builds Debian's versions of libtiff, libpng and libjpeg with the fuzz targets' instrumentation, into FOLDER/lib and
+# FOLDER/include. The libraries that they use (zlib, libwebp, ...) are the system's, without instrumentation.
 #   codecs.sh FOLDER
 set -euo pipefail
 mkdir -p "$1/source"
@@ -15,7 +15,7 @@ Suites: bookworm
 Components: main
 Signed-By: /usr/share/keyrings/debian-archive-keyring.gpg
 SOURCES
-# Lists of their own, so that the machine's stay as they are.
+# Separate package lists, so that the machine's own lists stay unchanged.
 mkdir -p lists/partial cache/archives/partial
 apt=(-q -o Dir::Etc::sourcelist="$sources" -o Dir::Etc::sourceparts=- -o Dir::State::lists="$PWD/lists" -o Dir::Cache="$PWD/cache"
      -o APT::Sandbox::User="")
@@ -32,7 +32,7 @@ build() {
     "${@:2}" > /dev/null
   cmake --build "build-$1" --target install > "build-$1.log" 2>&1 || { tail -20 "build-$1.log"; return 1; }
 }
-# Assembler is not instrumented: libjpeg's C code instead.
+# Assembly code cannot be instrumented, so libjpeg is built from its C code.
 build "$(basename libjpeg-turbo-*/)" -DWITH_SIMD=OFF -DENABLE_STATIC=OFF -DWITH_TURBOJPEG=OFF
 build "$(basename libpng1.6-*/)" -DPNG_STATIC=OFF -DPNG_TESTS=OFF -DPNG_EXECUTABLES=OFF
 build "$(basename tiff-*/)" -Dtiff-tools=OFF -Dtiff-tests=OFF -Dtiff-contrib=OFF -Dtiff-docs=OFF -Dcxx=OFF

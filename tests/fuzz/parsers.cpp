@@ -1,5 +1,6 @@
-// libFuzzer over every parser of users' files. One program, a target for each of its names (fuzz_ply, fuzz_station, …):
-// whatever the bytes are, a parser returns or throws malus::Error, in time and memory that the file's size bounds.
+// Fuzzes every parser of users' files with libFuzzer. The name by which the program is called selects the target
+// (fuzz_ply, fuzz_station, …). For any bytes, a parser must return or throw malus::Error, within time and memory
+// bounded by the file's size.
 
 #include <sanitizer/allocator_interface.h>
 #include <unistd.h>
@@ -30,12 +31,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Memory that all threads have taken, now and at the most since the input began [bytes].
+/// Memory allocated by all threads: now, and the maximum since the current input began [bytes].
 std::atomic<std::size_t> taken = 0, most_taken = 0;
-/// What an input may take beside its share by its size: images take what their pixels do, too.
+/// Memory that the current input may take: a constant, a share of its size and, for images, a share of their pixels.
 std::size_t allowed_bytes = 0;
 constexpr std::size_t always_allowed = 64 << 20, allowed_per_byte = 10;
-/// Four double samples in one strip, and the three floats that are made of them.
+/// Per pixel: four double samples in one strip, and the three floats made from them.
 constexpr std::size_t allowed_per_pixel = 4 * sizeof(double) + 3 * sizeof(float);
 
 void on_allocation(const volatile void*, std::size_t size) {
@@ -48,7 +49,7 @@ void on_release(const volatile void* memory) {
   taken -= __sanitizer_get_allocated_size(memory);
 }
 
-/// Folder in memory for the files of one process.
+/// Folder in shared memory for the files of this process.
 const fs::path& folder() {
   static const fs::path path = [] {
     std::string name = "/dev/shm/malus-fuzz-XXXXXX";
@@ -65,7 +66,7 @@ fs::path write(const std::string& name, std::string_view bytes) {
   return path;
 }
 
-/// The input's parts, which this line separates.
+/// The parts of the input, separated by lines of five equals signs.
 std::vector<std::string_view> parts_of(std::string_view input) {
   constexpr std::string_view separator = "\n=====\n";
   std::vector<std::string_view> parts;
@@ -77,7 +78,7 @@ std::vector<std::string_view> parts_of(std::string_view input) {
   return parts;
 }
 
-/// Runs one way to read; every other exception than ours ends the program.
+/// Runs one reader. Any exception other than malus::Error ends the program.
 template <class Read>
 void attempt(Read&& read) {
   try {
@@ -96,7 +97,7 @@ void read_colmap(std::string_view input, const std::string& extension) {
 void read_images(std::string_view input) {
   const fs::path path = write("image", input);
   attempt([&] { allowed_bytes += allowed_per_pixel * read_image_size(path).area(); });
-  // Each of these decodes the whole image first: one of them for an input, by its last byte.
+  // Every reader decodes the whole image first, so only one runs per input, selected by the input's last byte.
   switch (input.empty() ? 0 : static_cast<unsigned char>(input.back()) % 3) {
     case 0:
       attempt([&] { read_float_raster(path); });
@@ -124,7 +125,7 @@ void read_station(std::string_view input) {
   attempt([&] { read_station_file(path); });
 }
 
-/// A pattern, and names that it is tried on.
+/// The input is a pattern and names to try it on.
 void read_names(std::string_view input) {
   const std::vector<std::string_view> parts = parts_of(input);
   const std::string pattern(parts[0]);
@@ -134,8 +135,8 @@ void read_names(std::string_view input) {
     natural_less(pattern, name.string());
   }
   if (!names.empty()) attempt([&] { angles_of_names(names, "images", "otherwise"); });
-  // A pattern that leaves the folder goes through the machine's disk up to its bound, a second each time; the tests of
-  // limits have those.
+  // A pattern that leaves the folder would search the machine's disk up to the time limit, a second each time. The
+  // tests of limits cover such patterns.
   if (!pattern.starts_with('/') && pattern.find("..") == std::string::npos)
     attempt([&] { match_files(folder(), pattern, "images"); });
 }

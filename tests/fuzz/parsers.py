@@ -1,8 +1,9 @@
-"""atheris over what Python reads of users' files: EXIF, RAW, LAS, E57, tables and notes beside images, Metashape's cameras.
+"""Fuzzes Python's readers of users' files with atheris: EXIF, RAW, LAS, E57, tables and notes beside images, cameras of
+Metashape.
 
     parsers.py TARGET [CORPUS] [libFuzzer's options]
 
-Whatever the bytes are, a reader returns or raises MalusError.
+For any bytes, a reader must return or raise MalusError.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 RECORDED = HERE / "instructions.json"
 TOLERANCE = 0.05
-# One path through BLAS on every machine, and no symbols looked up in what is counted. Nothing of the caller's: the
-# environment is on the stack, so that its size moves everything there.
+# BLAS takes the same path on every machine, and no symbols are looked up while instructions are counted. No variables of
+# the caller: the environment lies on the stack, so that its size shifts the addresses of everything there.
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OPENBLAS_CORETYPE": "Haswell",
@@ -31,7 +31,7 @@ ENVIRONMENT = {
 
 
 def why_not() -> str | None:
-    """What this machine lacks; None if it can count."""
+    """Why this machine cannot count instructions; None if it can."""
     if shutil.which("valgrind") is None:
         return "valgrind is not installed"
     cpu = Path("/proc/cpuinfo")
@@ -41,7 +41,7 @@ def why_not() -> str | None:
 
 
 def count(build: Path) -> dict[str, int]:
-    """Instructions of each kernel; their profiles stay in `build`/performance."""
+    """Instructions of each kernel. The profiles of the kernels stay in `build`/performance."""
     subprocess.run(["cmake", "--build", build, "--target", "performance_kernels"], check=True)
     profiles = build / "performance"
     shutil.rmtree(profiles, ignore_errors=True)
@@ -63,7 +63,7 @@ def count(build: Path) -> dict[str, int]:
 
 
 def compare(counts: dict[str, int], recorded: dict[str, int]) -> tuple[list[str], list[str]]:
-    """Prints the table; what is wrong, and which kernels take much less than recorded."""
+    """Prints the table. Returns what is wrong, and the kernels that take much less than recorded."""
     wrong, faster = [f"{kernel}: recorded, but not run" for kernel in recorded if kernel not in counts], []
     print(f"{'kernel':28}{'million instructions':>22}{'recorded':>12}{'change':>10}")
     for kernel, now in counts.items():

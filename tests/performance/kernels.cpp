@@ -1,7 +1,7 @@
-// The kernels whose speed is promised, one after the other on small inputs and one thread, for tests/performance/run,
-// which counts their instructions under callgrind. Inputs are made, and results checked, outside what is counted.
+// Runs the kernels whose speed is promised, one after the other, on small inputs and one thread. tests/performance/run
+// counts their instructions under callgrind. Making inputs and checking results is not counted.
 //   performance_kernels FOLDER
-// FOLDER is for the files that are written.
+// FOLDER receives the files that the kernels write.
 #include <valgrind/callgrind.h>
 
 #include <algorithm>
@@ -40,7 +40,8 @@ namespace {
 
 const Context one_thread;
 
-/// The instructions of work() under this name. Its result must be good: a kernel that gave up early took few.
+/// Counts the instructions of work() under this name. Throws if work() returns false: a kernel that gives up early
+/// takes few instructions.
 template <class Work>
 void count(const char* kernel, Work&& work) {
   CALLGRIND_START_INSTRUMENTATION;
@@ -137,7 +138,7 @@ void sweep() {
 }
 
 void fusion() {
-  // Without what takes the same time at any size, and at this one would hide the tiles' solver.
+  // Leave out the parts that take the same time at any size: at this size, they would dominate the tiles' solver.
   RefineOptions options;
   options.search = options.lobe = false;
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {

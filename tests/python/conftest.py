@@ -23,31 +23,31 @@ from PIL import Image
 import malus as package
 from malus import _core, synthetic
 
-# Ctrl-C is ignored in a shell's background jobs, and so by the programs that are started here, unless it is handled.
+# A background job of a shell ignores Ctrl-C (SIGINT), and so do the programs that it starts. With a handler they do not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "relief"
 SHARED = ROOT.parent / "shared"
-#: Windows of the demo's images that the small stations show, and patches in them: the flat label and carving around it,
-#: and as little of both as is enough for runs whose surface is not what is tested.
+#: Windows of the demo's images that the small stations show, and the flat patch in each. The first window has the flat label
+#: and the carving around it; the tiny one is a smaller part of both, for tests that do not check the surface.
 WINDOW, PATCH = (380, 240, 580, 400), (38, 45, 157, 115)
 TINY_WINDOW, TINY_PATCH = (380, 240, 480, 320), (40, 48, 95, 77)
 
-#: Of two dates of one object: center (u, v), radius and depth (GSD, positive = lost) of what was changed between them.
+#: The two changes between the dates of one object: center (u, v) and radius in pixels, and depth in GSD (positive: material lost).
 DENT, LUMP = ((70, 60, 14), 6.0), ((170, 40, 12), -5.0)
-#: The later survey has a world frame of its own.
+#: The later survey has a world frame of its own: rotation and translation from it to the camera.
 ANGLE = np.radians(25)
 LATER = (
     np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1]]),
     np.array([120.0, -45.0, 60.0]),
 )
 
-#: Refinement of runs whose surface is not what is tested: nothing mirrored is fitted, which takes most of the time.
+#: Refinement for tests that do not check the surface: without the fits of highlight and surroundings, which take most of the time.
 QUICK = {"lobe": False, "surroundings": False}
 QUICK_WORDS = tuple(word for name in QUICK for word in ("--set", f"refine.{name}=false"))
 
-#: Files whose tests take longest. They begin first, so that no worker of pytest-xdist is left alone with one at the end.
+#: Files whose tests take longest. They run first, so that no pytest-xdist worker is still busy with one when all others are done.
 LONGEST_FIRST = (
     "test_photos.py",
     "test_object.py",
@@ -87,12 +87,12 @@ def run_program(*command: str | Path, **options: object) -> Outcome:
 
 
 def malus(*arguments: str | Path, **options: object) -> Outcome:
-    """`malus …` of this environment."""
+    """Run `malus …` of this environment."""
     return run_program(sys.executable, "-m", "malus.cli", *arguments, **options)
 
 
 def malus_here(*arguments: str | Path) -> Outcome:
-    """`malus …` within this process, for short commands: a program's start takes longer than most of them."""
+    """Run `malus …` within this process, for short commands: starting a program takes longer than most of them."""
     from malus import cli
 
     out, err = io.StringIO(), io.StringIO()
@@ -102,7 +102,7 @@ def malus_here(*arguments: str | Path) -> Outcome:
 
 
 def malus_station(*arguments: str | Path, **options: object) -> Outcome:
-    """The C++ executable of the build tree."""
+    """Run the C++ executable of the build tree."""
     program = Path(os.environ.get("MALUS_STATION", ROOT / "build" / "malus-station"))
     if not program.exists():
         pytest.skip(f"{program} is not built")
@@ -111,7 +111,7 @@ def malus_station(*arguments: str | Path, **options: object) -> Outcome:
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each test is in a folder of its own: what a command leaves where it is called does not lie in the repository."""
+    """Run each test in a folder of its own, so that files a command leaves in the current folder do not end up in the repository."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -128,7 +128,7 @@ def sensor() -> synthetic.Sensor:
 
 @pytest.fixture(scope="session")
 def images(scene: synthetic.Scene, sensor: synthetic.Sensor) -> list[np.ndarray]:
-    """The stone through the polarizer, linear, in [0, 1] of the white level."""
+    """Images of the stone through the polarizer: linear, in [0, 1], the white level being the upper end."""
     return [image / np.float32(16383) for image in synthetic.render(scene, sensor=sensor)]
 
 
@@ -140,13 +140,13 @@ def small_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_station_source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """100 × 80 px of it."""
+    """100 × 80 px of the demo station as a station of its own."""
     made = made_once(tmp_path_factory, "tiny", lambda folder: cut_out(folder / "station", TINY_WINDOW, TINY_PATCH))
     return made / "station"
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
-    """A folder of this run of the tests that is made once, by the first of pytest-xdist's workers that needs it."""
+    """A folder that is made once per test run, by the first pytest-xdist worker that needs it."""
     root = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
@@ -222,7 +222,7 @@ to = [{x1 - x0 - 10}, {(y1 - y0) // 2}]
 
 @pytest.fixture
 def pair(small_station_source: Path, tmp_path: Path) -> Path:
-    """An object of two copies of a station: they agree wherever they look."""
+    """An object file with two copies of one station, whose surfaces therefore agree everywhere."""
     for k in range(2):
         shutil.copytree(small_station_source, tmp_path / f"o{k}")
     file = tmp_path / "object.toml"
@@ -245,7 +245,7 @@ def finished_grid(small_station_source: Path, tmp_path_factory: pytest.TempPathF
 
 
 def _changed(scene: synthetic.Scene) -> synthetic.Scene:
-    """The scene with flat-bottomed dent and lump, edges over three pixels."""
+    """The scene with a flat dent and a flat lump, whose edges are three pixels wide."""
     depth = scene.depth.copy()
     v, u = np.indices(depth.shape)
     for (u0, v0, radius), gsd in (DENT, LUMP):
@@ -270,7 +270,7 @@ def _finish(scene: synthetic.Scene, folder: Path, *, seed: int) -> None:
 
 @pytest.fixture(scope="session")
 def dates(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Workspaces of a stone, and of the same with a dent and a lump in a frame of its own; read them, do not change them."""
+    """Workspaces of a stone before and after a dent and a lump, the later one in its own world frame; read them, do not change them."""
     scene = synthetic.relief(240, 180, seed=3)
     rotation, translation = LATER
     camera = replace(scene.camera, rotation=rotation, translation=translation)
@@ -293,7 +293,7 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
 
 
 def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
-    """The cameras.xml of a Metashape project in meters, of a station in millimeters; one unit of the chunk is `scale` m."""
+    """The cameras.xml of a Metashape project in meters for a station in millimeters; one unit of the chunk is `scale` m."""
     camera = package.Station.load(station).describe()["camera"]
     fx, fy, cx, cy = camera["params"][:4]
     width, height = camera["width"], camera["height"]
@@ -308,19 +308,19 @@ def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
 
 
 def cloud_in_meters(station: Path, path: Path) -> None:
-    """The cloud of a station in millimeters, as a program whose unit is the meter writes it."""
+    """Write the cloud of a station (millimeters) as a program that works in meters would."""
     import trimesh
 
     trimesh.PointCloud(trimesh.load(station.parent / "dense/cloud.ply").vertices / 1000).export(path)
 
 
 def half_written(folder: Path) -> list[Path]:
-    """Files below a folder that have the name of those not finished, which both programs give them."""
+    """Unfinished files below a folder. Both programs give a file such a name until it is complete."""
     return list(folder.rglob(".*.partial-*"))
 
 
 def edit(path: Path, old: str, new: str) -> Path:
-    """Replace one piece of a text file; it must be there."""
+    """Replace `old` in a text file; `old` must occur in it."""
     text = path.read_text()
     assert old in text, f"{old!r} is not in {path}"
     path.write_text(text.replace(old, new))
@@ -328,7 +328,7 @@ def edit(path: Path, old: str, new: str) -> Path:
 
 
 def demo_with_photos(folder: Path) -> tuple[Path, list[str]]:
-    """The demo station without pose and prior, six of its photos, and a scale from two points of the demo's own model.
+    """Write the demo station without pose and prior, with six of its photos and a scale from two points marked by the demo's own model.
 
     Returns the station file and the photos' names.
     """

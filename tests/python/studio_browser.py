@@ -1,4 +1,4 @@
-"""Studio as the tests meet it: its server for a folder, and its page in real Chromium."""
+"""Helpers for the tests of Studio: its server for a folder, and its page in real Chromium."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ needs_browser = pytest.mark.skipif(
     CHROMIUM is None or find_spec("playwright") is None or find_spec("axe_playwright_python") is None,
     reason="Chromium, playwright or axe-playwright-python is not installed",
 )
-#: How long an answer of the page and a run may take on a machine that is busy otherwise.
+#: How long an answer of the page and a run may take on a busy machine.
 PATIENCE_MS, RUN_MS = 180_000, 900_000
-#: Where the browser's pictures go, to be looked at.
+#: Folder for screenshots of the browser, to look at.
 PICTURES = Path(os.environ.get("MALUS_PICTURES", ""))
 
 
@@ -64,11 +64,11 @@ class Served:
             return response.status, said, response.read().decode(errors="replace")
 
     def asked(self, address: str) -> Any:
-        """What a page of this Studio is answered when it asks."""
+        """The answer to a page's request for data."""
         return json.loads(self.ask("GET", f"/api/{address}", {"Cookie": self.cookie()})[2])
 
     def tell(self, name: str, body: object, method: str = "POST") -> tuple[int, Any]:
-        """What a page of this Studio is answered when it tells something."""
+        """Status and answer to a page's request that changes something."""
         cookie = self.cookie()
         own = {"Cookie": cookie, "Origin": f"http://{self.host}", "X-Malus-Page": self.page_token(cookie)}
         sent = body if isinstance(body, str | bytes) else json.dumps(body)
@@ -87,7 +87,7 @@ class Served:
 
 @contextmanager
 def studio(folder: Path) -> Iterator[Served]:
-    """`malus studio` for the folder, which ends well."""
+    """Run `malus studio` for the folder; it must end without an error."""
     process = subprocess.Popen(
         [sys.executable, "-m", "malus", "studio", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
     )
@@ -107,7 +107,7 @@ def studio(folder: Path) -> Iterator[Served]:
 
 
 def brought(source: Path, folder: Path) -> Path:
-    """A folder as a person brings it: polarized images, photos, cameras and cloud of a station, but no station file."""
+    """A folder as a user prepares it: polarized images, photos, cameras and cloud of a station, but no station file."""
     shutil.copytree(source, folder)
     (folder / "station.toml").unlink()
     (folder / "views").mkdir()
@@ -129,7 +129,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def opened(browser: Any, served: Served) -> Iterator[Any]:
-    """A page of this Studio, which meets no error that nobody has thought of."""
+    """A page of this Studio; it must meet no unexpected error."""
     page = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
@@ -149,7 +149,7 @@ def opened(browser: Any, served: Served) -> Iterator[Any]:
 
 
 def hurry(page: Any, name: str) -> None:
-    """Press the button of a part of the page."""
+    """Press the button of a part of the page, without waiting until the part is open."""
     page.get_by_role("banner").get_by_role("button", name=name, exact=True).click()
 
 
@@ -186,14 +186,14 @@ def wait_for(page: Any, said: Callable[[], bool]) -> None:
 
 
 def held(page: Any, name: str) -> list[Any]:
-    """The first question of this name, which is not sent before it is let go on."""
+    """Hold back the first request of this name until `let_go`; later requests are not held back."""
     kept: list[Any] = []
     page.route(f"**/api/{name}*", lambda route: route.continue_() if kept else kept.append(route))
     return kept
 
 
 def let_go(page: Any, kept: list[Any], name: str) -> None:
-    """Answer the question that is held."""
+    """Send the held request and wait for its answer."""
     wait_for(page, lambda: bool(kept))
     with page.expect_response(kept[0].request.url):
         kept[0].continue_()
@@ -202,7 +202,7 @@ def let_go(page: Any, kept: list[Any], name: str) -> None:
 
 @contextmanager
 def paused(served: Served) -> Iterator[None]:
-    """The run that is under way stands still from when it has told how much time is left: it may be quicker than a busy browser."""
+    """Stop the current run once it has reported the time left: otherwise it may end before a busy browser has looked."""
     process = _run_with_time_left(served)
     try:
         yield
@@ -230,8 +230,8 @@ def _run_with_time_left(served: Served) -> int:
 
 
 def _programs_of(parent: int) -> list[int]:
-    """Programs that a process has started. One that is only being started still has its parent's words, and is left out:
-    its parent waits for it with Python's lock held, so that a Studio whose child is stopped then never answers again."""
+    """Programs that a process has started. A child that is still being started has its parent's command line and is left out:
+    its parent waits for it while it holds Python's lock. If that child were stopped, Studio would never answer again."""
     found = []
     for children in Path(f"/proc/{parent}/task").glob("*/children"):
         with suppress(OSError):  # ended meanwhile

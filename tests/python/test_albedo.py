@@ -15,7 +15,7 @@ from malus import albedo, rti, synthetic
 
 
 def spread(estimate: np.ndarray, truth: np.ndarray) -> float:
-    """Robust standard deviation of the logarithm of their ratio, over pixels that both have."""
+    """Robust standard deviation of log(estimate / truth) over the pixels with an estimate."""
     known = np.isfinite(estimate) & (estimate > 0)
     assert known.mean() > 0.9
     ratio = np.log(estimate[known] / truth[known])
@@ -27,16 +27,16 @@ def truth() -> synthetic.Scene:
     return synthetic.relief(240, 180, seed=3)
 
 
-def test_albedo_is_that_of_the_scene(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
+def test_albedo_matches_the_scene(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
     workspace = malus.Workspace(dates[0])
     found = albedo.albedo_of(workspace)
     assert found.shape == truth.albedo.shape
-    # As photographed it is off by .094, with the shading taken out alone by .036.
+    # Spread of the color as photographed: .094; with only the shading removed: .036.
     assert spread(workspace.color(), truth.albedo) > 0.08
     assert spread(found, truth.albedo) < 0.03
 
 
-def test_albedo_is_free_of_the_light() -> None:
+def test_albedo_does_not_contain_shading() -> None:
     rng = np.random.default_rng(3)
     slopes = rng.normal(0, 0.4, (60, 80, 2))
     normals = np.concatenate([-slopes, np.ones((60, 80, 1))], -1)
@@ -49,7 +49,7 @@ def test_albedo_is_free_of_the_light() -> None:
     assert np.mean(removed[paint == 0.5]) / np.mean(removed[paint == 0.2]) == pytest.approx(2.5, rel=0.05)
 
 
-def test_a_plane_and_next_to_nothing_keep_their_color() -> None:
+def test_planes_and_surfaces_of_few_pixels_keep_their_color() -> None:
     paint = np.random.default_rng(1).uniform(0.2, 0.6, (40, 50, 1)).astype(np.float32)
     normals = np.broadcast_to(np.array([0.1, -0.2, -0.97], np.float32), (40, 50, 3)).copy()
     np.testing.assert_allclose(albedo.diffuse_albedo(paint, normals), paint, rtol=1e-5)
@@ -59,12 +59,12 @@ def test_a_plane_and_next_to_nothing_keep_their_color() -> None:
     assert np.isnan(few[5:]).all()
 
 
-def test_mirrored_share_is_what_was_rendered(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
+def test_mirrored_share_matches_the_rendering(dates: tuple[Path, Path], truth: synthetic.Scene) -> None:
     share = malus.Workspace(dates[0]).mirrored_share()
     assert share is not None
     every = synthetic.Reflectance()
     total = np.concatenate([s0 for _, s0, *_ in synthetic.stokes(truth, every)])
-    # Twice the albedo is twice the body's light, and nothing else changes.
+    # Doubling the albedo doubles the body light and changes nothing else.
     doubled = replace(truth, albedo=2 * truth.albedo)
     mirrored = 2 * total - np.concatenate([s0 for _, s0, *_ in synthetic.stokes(doubled, every)])
     expected = mirrored / total
@@ -83,12 +83,14 @@ def test_textures_can_have_the_albedo(dates: tuple[Path, Path], tmp_path: Path, 
     assert told.code == 3 and "--fusion refined" in told.err
     told = run_malus("export", dates[0], "--format", "stl", "--albedo")
     assert told.code == 2 and "--albedo is for obj" in told.err
-    # A IIIF folder has both, each under its name.
+    # A IIIF folder has both the photograph and the albedo, each under its own name.
     told = run_malus("export", dates[0], "--format", "iiif", "--albedo")
     assert told.code == 2 and "not for iiif" in told.err
 
 
-def test_relighting_names_its_colors_as_they_are(dates: tuple[Path, Path], tmp_path: Path, finished_grid: Path) -> None:
+def test_relighting_names_its_texture_albedo_or_unshaded(
+    dates: tuple[Path, Path], tmp_path: Path, finished_grid: Path
+) -> None:
     for work, name, other in ((dates[0], "albedo", "unshaded"), (finished_grid, "unshaded", "albedo")):
         folder = malus.export(work, "relight", tmp_path / name)
         assert (folder / f"{name}.png").exists() and not (folder / f"{other}.png").exists()
@@ -96,7 +98,7 @@ def test_relighting_names_its_colors_as_they_are(dates: tuple[Path, Path], tmp_p
 
 def test_bare_metal_has_no_albedo(dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     raster = malus.Workspace.raster
-    # As the refinement leaves it of a metal.
+    # For a metal, the refinement leaves NaN here.
     monkeypatch.setattr(
         malus.Workspace,
         "raster",

@@ -48,7 +48,7 @@ def test_bag_is_valid_and_a_changed_byte_is_found(bag: Path, tmp_path: Path) -> 
         bagit.Bag(str(copy)).validate()
 
 
-def test_everything_is_in_it_and_described(bag: Path, finished_grid: Path) -> None:
+def test_archive_holds_and_describes_every_file(bag: Path, finished_grid: Path) -> None:
     crate = rocrate.ROCrate(str(bag / "data"))
     described = {entity.id for entity in crate.data_entities}
     present = {str(path.relative_to(bag / "data")) for path in (bag / "data").rglob("*") if path.is_file()}
@@ -63,7 +63,7 @@ def test_everything_is_in_it_and_described(bag: Path, finished_grid: Path) -> No
         assert known[place]["sha256"] == hashlib.sha256(content).hexdigest()
 
 
-def test_catalog_words_and_paradata(bag: Path, finished_grid: Path) -> None:
+def test_archive_has_catalog_entries_and_paradata(bag: Path, finished_grid: Path) -> None:
     known = entities(bag)
     assert known["./"]["license"] == "CC-BY-4.0"
     assert known["#object"]["name"] == "Relief & label" and known["#object"]["identifier"] == "X 1907.4"
@@ -75,7 +75,7 @@ def test_catalog_words_and_paradata(bag: Path, finished_grid: Path) -> None:
         assert action["@type"] == "CreateAction" and action["agent"] == {"@id": "#recorded-by"}
         results = action["result"] if isinstance(action["result"], list) else [action["result"]]
         assert {entry["@id"] for entry in results} == {f"results/{output}" for output in step["outputs"]}
-        # As the profile's validator reads ISO 8601: at most three digits of a second.
+        # The profile's validator accepts ISO 8601 with at most three decimals of a second.
         assert all(re.fullmatch(r"[-\d]{10}T[\d:]{8}\.\d{3}\+00:00", action[f"{end}Time"]) for end in ("start", "end"))
         assert action["startTime"] <= action["endTime"]
         assert name in action["description"]
@@ -92,7 +92,7 @@ def test_changed_or_missing_inputs_are_refused(
     (small_station.parent / "camera").mkdir()
     content = image.rename(small_station.parent / "camera/30.tif").read_bytes()
     image.symlink_to("../camera/30.tif")
-    os.utime(image, (0, 0))  # as of a camera whose clock was never set; ZIP begins with 1980
+    os.utime(image, (0, 0))  # as from a camera whose clock was never set; dates in ZIP begin in 1980
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive", tmp_path / "a.zip")) as file:
         assert file.read("small/data/inputs/pol/pol_030.tif") == content, "what the link leads to"
@@ -123,7 +123,7 @@ def test_changed_or_missing_inputs_are_refused(
     assert not list(work.glob("export/**/*"))
 
 
-def test_words_of_the_object_change_nothing_but_the_record(small_station: Path, tmp_path: Path) -> None:
+def test_a_changed_object_description_recomputes_nothing(small_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
     before = malus.Workspace(work).manifest["times"]

@@ -1,4 +1,4 @@
-"""Each step on arrays: figures against truth, shapes checked at the door."""
+"""Each step called with arrays: results against the truth, and errors for wrong shapes."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def test_options_are_checked() -> None:
     assert all(doc for _, _, _, doc in malus.Options.describe())
 
 
-def test_types_of_options_are_those_of_the_library() -> None:
-    """Otherwise editors complete what is not there: run scripts/option_types.py."""
+def test_option_type_file_matches_the_library() -> None:
+    """If this fails, editors suggest options that do not exist: run scripts/option_types.py."""
     script = runpy.run_path(str(ROOT / "scripts/option_types.py"))
     assert script["TARGET"].read_text(encoding="utf-8") == script["text"]()
     options = malus.Options()
@@ -119,7 +119,7 @@ def test_types_of_options_are_those_of_the_library() -> None:
 
 
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
-    """Against normals with y up, from central differences of a height in pixels; borders, which lack a side, left out."""
+    """Mean angle between `normal` (y up) and the normals of a height in pixels, by central differences within the mask's border."""
     inner = mask.copy()
     inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
     down, right = np.gradient(height)

@@ -23,7 +23,7 @@ ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
 def expect(
     station: Path, work: Path, code: int, *words: str, arguments: tuple[str, ...] = (), warnings: int = 0
 ) -> None:
-    """Both programs must fail alike: exit code, words of the one message, so many warnings, no result left behind."""
+    """Both programs must fail with this exit code, one message with these words, this many warnings, and no result left behind."""
     for program in (malus, malus_station):
         run_words = ("run",) if program is malus else ()
         outcome = program(*run_words, station, "-o", work, "--quiet", *arguments)
@@ -73,8 +73,8 @@ def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(smal
     ],
     ids=["5000 digits", "underscores", "hexadecimal", "20 digits", "64 bits", "exponent", "negative"],
 )
-def test_numbers_that_no_computer_holds_are_refused_in_every_file(small_station: Path, number: str) -> None:
-    """tomllib raises something else, or reads what the C++ library refuses; printing it then failed."""
+def test_numbers_out_of_range_are_refused_in_every_file(small_station: Path, number: str) -> None:
+    """tomllib raises another exception for some of them and reads others that the C++ library refuses; printing those failed."""
     for table, load in (("campaign", Campaign.load), ("object", Object.load)):
         (small_station.parent / "x.toml").write_text(
             f'[{table}]\nstations = ["station.toml"]\n[options.refine]\niterations = {number}\n'
@@ -86,7 +86,7 @@ def test_numbers_that_no_computer_holds_are_refused_in_every_file(small_station:
         Station.load(small_station)
 
 
-def test_files_of_windows_editors_begin_with_a_mark(small_station: Path) -> None:
+def test_byte_order_marks_are_accepted_in_every_file(small_station: Path) -> None:
     from malus.studio import settings
     from malus.studio.document import StationDocument
 
@@ -109,7 +109,7 @@ def test_files_of_windows_editors_begin_with_a_mark(small_station: Path) -> None
 
 @pytest.mark.parametrize("name", ["a\\nv 1 2 3", "a\\rb", "\\u001b[31mred", "a\\u0001", "a\\u007f"])
 def test_names_are_one_line_without_control_characters(small_station: Path, work: Path, name: str) -> None:
-    """A second line was a vertex of OBJ files, which moved all triangles; XML cannot hold control characters."""
+    """A second line of a name became a vertex of OBJ files, which shifted all triangles. XML cannot hold control characters."""
     edit(small_station, 'name = "small"', f'name = "{name}"')
     expect(small_station, work, 2, "station.toml, line 3: [station].name: has", "expected")
     (small_station.parent / "o.toml").write_text(f'[object]\nname = "{name}"\nstations = ["station.toml"]\n')
@@ -117,15 +117,15 @@ def test_names_are_one_line_without_control_characters(small_station: Path, work
         Object.load(small_station.parent / "o.toml")
 
 
-def test_words_of_the_catalog_may_have_lines_but_no_control_characters(small_station: Path, work: Path) -> None:
+def test_catalog_entries_may_have_line_breaks_but_no_control_characters(small_station: Path, work: Path) -> None:
     edit(small_station, 'maker = "unknown mason"', 'description = """two\nlines\tand a tab"""\nmaker = "unknown mason"')
     assert Station.load(small_station).describe()["object"]["description"] == "two\nlines\tand a tab"
     edit(small_station, "unknown mason", "unknown\\u0001mason")
     expect(small_station, work, 2, "[object].maker: has control characters")
 
 
-def test_names_that_are_no_text(small_station: Path, tmp_path: Path) -> None:
-    """A byte that is not UTF-8: as station file, as workspace, in a folder of images, and on arrays' side."""
+def test_file_names_that_are_not_utf8_are_refused(small_station: Path, tmp_path: Path) -> None:
+    """A byte that is not UTF-8: in the station's folder, in an image's name, in the current folder, and for `Station.load`."""
     strange = tmp_path / os.fsdecode(b"st\xffange")
     small_station.parent.rename(strange)
     images = tmp_path / "images"
@@ -146,8 +146,8 @@ def test_names_that_are_no_text(small_station: Path, tmp_path: Path) -> None:
         Station.load(strange / "station.toml")
 
 
-def test_folders_that_no_system_can_make(small_station: Path, tmp_path: Path) -> None:
-    """Neither an abort nor a traceback: a name that is too long, links in a circle."""
+def test_workspaces_that_cannot_be_created_are_refused(small_station: Path, tmp_path: Path) -> None:
+    """A name that is too long and circular links end in a message, not in an abort or a traceback."""
     (tmp_path / "a").symlink_to(tmp_path / "b")
     (tmp_path / "b").symlink_to(tmp_path / "a")
     for folder in (tmp_path / ("x" * 300), tmp_path / "a" / "work"):
@@ -170,10 +170,10 @@ def test_folders_that_no_system_can_make(small_station: Path, tmp_path: Path) ->
         ("dense/cloud.ply", "NAME", "cloud"),
     ],
 )
-def test_paths_that_the_system_cannot_look_at_name_their_field(
+def test_paths_that_cannot_be_examined_are_named_with_their_field(
     small_station: Path, work: Path, old: str, new: str, field: str, name: str
 ) -> None:
-    """A name that is too long, links in a circle."""
+    """The path's name is too long, or its links are circular."""
     (small_station.parent / "circle").symlink_to("circle")
     edit(small_station, old, new.replace("NAME", name))
     outcome = malus_station(small_station, "-o", work, "--quiet")
@@ -182,7 +182,7 @@ def test_paths_that_the_system_cannot_look_at_name_their_field(
     assert "too long" in outcome.err or "symbolic links" in outcome.err
 
 
-def test_unknown_key_names_the_nearest(small_station: Path, work: Path) -> None:
+def test_unknown_key_suggests_the_nearest_one(small_station: Path, work: Path) -> None:
     edit(small_station, "white_level", "whitelevel")
     expect(small_station, work, 2, "whitelevel", "white_level")
 
@@ -231,7 +231,7 @@ def test_mask_of_another_size(small_station: Path, work: Path) -> None:
 def test_all_saturated(small_station: Path, work: Path) -> None:
     for path in (small_station.parent / "pol").glob("*.tif"):
         tifffile.imwrite(path, np.full((160, 200), 16383, np.uint16))
-    # Five of the six images are to be moved onto the first, and none has anything to be moved by.
+    # Five images are to be registered to the first one, and none has any detail to register by: one warning each.
     expect(small_station, work, 3, "saturated", warnings=5)
 
 
@@ -307,8 +307,8 @@ def test_disk_full(small_station: Path, small_disk: Path) -> None:
     expect(small_station, small_disk / "work", 5, "space")
 
 
-def test_a_cloud_that_shrinks_to_one_place_is_counted_by_places(small_station: Path, work: Path) -> None:
-    """As a cloud in meters before a camera in millimeters does: its points are many, the places they fall on are not."""
+def test_cloud_points_at_one_place_count_once(small_station: Path, work: Path) -> None:
+    """A cloud in meters in front of a camera in millimeters shrinks like this: many points fall on few places of the image."""
     cloud = small_station.parent / "dense/cloud.ply"
     station = Station.load(small_station)
     camera, depth = station.describe()["camera"], float(np.median(_core.check_picture(station._core, 1)[2][:, 2]))

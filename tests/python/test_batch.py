@@ -56,7 +56,7 @@ def results(output: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A finished campaign of three stations, the second broken, and its file."""
+    """Campaign file and output folder of a finished campaign of three stations, the second of which is broken."""
     file = campaign_of(tmp_path_factory.mktemp("three"), tiny_station_source, 3)
     edit(file.parent / "objects/o01/station.toml", "angles_deg = [0, 30,", "angles_deg = [0,")
     output = file.parent / "out"
@@ -73,7 +73,7 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
     return file, output
 
 
-def test_a_campaign_says_at_once_that_it_has_begun(three: tuple[Path, Path]) -> None:
+def test_a_campaign_reports_its_start_at_once(three: tuple[Path, Path]) -> None:
     file, output = three
     first = json.loads(run_malus("batch", file, "-o", output, "--json").out.splitlines()[0])
     assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
@@ -95,12 +95,12 @@ def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]
     assert (output / "stations/o02/fused/surface.ply").exists()
 
 
-def test_done_stations_are_not_run_again_and_mended_ones_are(three: tuple[Path, Path], tmp_path: Path) -> None:
+def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Path, Path], tmp_path: Path) -> None:
     file = shutil.copytree(three[0].parent, tmp_path / "copy") / "campaign.toml"
     output = file.parent / "out"
     ran: list[str] = []
     campaign = Campaign.load(file)
-    # The stations' paths are part of what was done: in another place everything is to do again.
+    # The record of a finished station holds its path: in another folder every station is pending.
     assert {malus.batch._marker(task)["status"] for task in campaign.tasks(output, 1)} == {"pending"}
     campaign = Campaign.load(three[0])
     edit(three[0].parent / "objects/o01/station.toml", "angles_deg = [0,", "angles_deg = [0, 30,")
@@ -112,7 +112,7 @@ def test_done_stations_are_not_run_again_and_mended_ones_are(three: tuple[Path, 
     assert malus.batch.failure(outcomes) is None
 
 
-def test_shards_make_together_what_one_run_makes(tiny_station_source: Path, tmp_path: Path) -> None:
+def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 3)
     for index in ("1/2", "2/2"):
         assert run_malus("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
@@ -132,8 +132,10 @@ def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
     assert "1 of 2 stations failed; the others are done" in str(malus.batch.failure(outcomes[:2]))
 
 
-def test_done_holds_as_long_as_inputs_and_results_do(tiny_station_source: Path, tmp_path: Path) -> None:
-    """Whatever the station reads counts, in its folder or not; and its results must be there."""
+def test_a_station_is_done_only_while_its_inputs_and_results_are_unchanged(
+    tiny_station_source: Path, tmp_path: Path
+) -> None:
+    """Every file that the station reads counts, inside its folder or not, and its results must be complete."""
     file = campaign_of(tmp_path, tiny_station_source, 2)
     shutil.move(tmp_path / "objects/o00/pol", tmp_path / "shared")
     edit(tmp_path / "objects/o00/station.toml", '"pol/', '"../../shared/')
@@ -162,7 +164,7 @@ def test_done_holds_as_long_as_inputs_and_results_do(tiny_station_source: Path, 
     assert [malus.batch._marker(task)["status"] for task in Campaign.load(file).tasks(output, 1)] == ["done", "pending"]
 
 
-def test_merges_at_the_same_time_leave_whole_tables(three: tuple[Path, Path]) -> None:
+def test_concurrent_merges_leave_complete_tables(three: tuple[Path, Path]) -> None:
     file, output = three
     merge = (
         "import sys, malus.batch; from malus.campaign import Campaign\n"
@@ -180,7 +182,7 @@ def test_merges_at_the_same_time_leave_whole_tables(three: tuple[Path, Path]) ->
 
 
 def started_batch(file: Path, output: Path) -> subprocess.Popen[str]:
-    """`malus batch` with two processes, as soon as the first station has begun."""
+    """Start `malus batch` with two processes; returns once the first station has begun."""
     run = subprocess.Popen(
         [sys.executable, "-m", "malus.cli", "batch", file, "-o", output, "--jobs", "2", "--threads", "1", "--quiet"],
         stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -192,7 +194,7 @@ def started_batch(file: Path, output: Path) -> subprocess.Popen[str]:
 
 
 def workers_of(output: Path) -> list[str]:
-    """Command lines of processes that hold a workspace of the campaign's."""
+    """Command lines of processes that have files of the campaign's output open."""
     held = []
     for descriptors in Path("/proc").glob("[0-9]*/fd"):
         try:
@@ -206,10 +208,10 @@ def workers_of(output: Path) -> list[str]:
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_batch_that_is_ended_runs_no_further_station(
+def test_a_stopped_batch_runs_no_further_station(
     tiny_station_source: Path, tmp_path: Path, sent: signal.Signals
 ) -> None:
-    """Nor does it leave processes behind, which would hold workspaces that the next batch needs."""
+    """It leaves no processes behind either: they would hold workspaces that the next batch needs."""
     file = campaign_of(tmp_path, tiny_station_source, 12)
     run = started_batch(file, tmp_path / "out")
     if sent == signal.SIGINT:  # as a terminal does
@@ -249,7 +251,7 @@ def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -
         ("[campaign]", "[campaign", "not valid TOML"),
     ],
 )
-def test_wrong_campaign_files_say_what_is_wrong(
+def test_errors_in_campaign_files_are_explained(
     tiny_station_source: Path, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     file = edit(campaign_of(tmp_path, tiny_station_source, 1), old, new)
@@ -267,7 +269,7 @@ def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, argument
     assert arguments[0] in outcome.err
 
 
-def test_stations_of_one_folder_name_stay_apart(tiny_station_source: Path, tmp_path: Path) -> None:
+def test_stations_with_the_same_folder_name_stay_apart(tiny_station_source: Path, tmp_path: Path) -> None:
     for folder in ("a/bust", "b/bust"):
         shutil.copytree(tiny_station_source, tmp_path / folder)
     (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["a/bust/station.toml", "b/bust/station.toml"]\n')
@@ -275,7 +277,6 @@ def test_stations_of_one_folder_name_stay_apart(tiny_station_source: Path, tmp_p
     assert [task.identifier for task in tasks] == ["bust", "bust-2"]
 
 
-@needs_distributed
 def test_a_folder_with_brackets_in_its_name_is_no_pattern(tmp_path: Path) -> None:
     for name in ("bust [1]", "bust 1"):
         (tmp_path / name).mkdir()
@@ -298,7 +299,8 @@ def test_thousands_of_stations_are_named_at_once() -> None:
     assert time.process_time() - start < 10  # 0.1 s; with a comparison of each name with all others 40 s
 
 
-def test_no_scheduler_is_said_plainly(
+@needs_distributed
+def test_a_missing_scheduler_is_reported(
     tiny_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 1)
@@ -308,8 +310,8 @@ def test_no_scheduler_is_said_plainly(
 
 
 @needs_distributed
-@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses a worker
-def test_a_killed_worker_costs_no_result(tiny_station_source: Path, tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("ignore")  # Dask's own warnings while it loses a worker
+def test_a_killed_worker_loses_no_result(tiny_station_source: Path, tmp_path: Path) -> None:
     import distributed
 
     file = campaign_of(tmp_path, tiny_station_source, 6)
@@ -341,8 +343,8 @@ def test_a_killed_worker_costs_no_result(tiny_station_source: Path, tmp_path: Pa
 
 
 @needs_distributed
-@pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses its scheduler
-def test_a_killed_scheduler_is_said_and_costs_no_result(
+@pytest.mark.filterwarnings("ignore")  # Dask's own warnings while it loses its scheduler
+def test_a_killed_scheduler_is_reported_and_loses_no_result(
     tiny_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(malus.batch, "_SCHEDULER_TIMEOUT", "5s")

@@ -1,4 +1,4 @@
-"""The harm benchmark without its renderer: what is drawn, what a variant changes, scoring and judging."""
+"""The benchmarks without their renderer: random draws, the change that each variant makes, scoring, judging and tables."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Variant = station_variants.Variant
 
 WIDTH, HEIGHT, FOCAL, GSD = 60, 50, 300.0, 2.0
 K = np.array([[FOCAL, 0, 29.5], [0, FOCAL, 24.5], [0, 0, 1.0]])
-# A camera that is neither at the origin nor turned with the world's axes: x_cam = R x + t.
+# A camera that is neither at the origin nor aligned with the world's axes: x_cam = R x + t.
 R = station_variants.turn(np.array([0.6, 0.0, 0.8]), 0.7)
 T = np.array([5.0, -3.0, 600.0])
 
@@ -94,7 +94,7 @@ def test_half_of_the_variants_are_correct_and_every_error_is_drawn() -> None:
     assert all(v.amount["order"] != list(range(6)) for v in drawn if v.name == "order")
 
 
-def test_a_correct_variant_gives_the_files_as_they_are(station: Path, tmp_path: Path) -> None:
+def test_a_correct_variant_leaves_the_inputs_unchanged(station: Path, tmp_path: Path) -> None:
     path = station_variants.write(station, Variant("correct", "correct", noisy=True), tmp_path / "out")
     tables = tomllib.loads(path.read_text())
     assert tables["polarized"]["images"][1] == str(station / "noisy/pol_030.png")
@@ -107,7 +107,7 @@ def test_a_correct_variant_gives_the_files_as_they_are(station: Path, tmp_path: 
     assert (after["red"] == before["red"]).all()
 
 
-def test_wrong_settings_change_the_station_file_only_there(station: Path, tmp_path: Path) -> None:
+def test_a_wrong_setting_changes_nothing_else_in_the_station_file(station: Path, tmp_path: Path) -> None:
     amounts: dict[str, dict[str, Any]] = {
         "direction": dict(angle_direction="cw"),
         "zero": dict(angle_zero_deg=-35.0),
@@ -142,7 +142,7 @@ def test_scale_and_unit(station: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "axis"), [("tilt", [0.0, 1.0, 0.0]), ("turned", [0.0, 0.0, 1.0])])
-def test_turns_are_about_their_axis_and_turn_the_normals_too(
+def test_rotations_keep_their_axis_and_rotate_the_normals_too(
     station: Path, tmp_path: Path, name: str, axis: list[float]
 ) -> None:
     before, after = changed_cloud(station, variant(name, deg=3.0, axis_deg=90.0), tmp_path / name)
@@ -163,7 +163,7 @@ def test_a_mirrored_cloud_has_left_and_right_exchanged(station: Path, tmp_path: 
     np.testing.assert_allclose(b[:, 1:], a[:, 1:], atol=1e-3)
 
 
-def test_holes_take_the_share_they_should(station: Path, tmp_path: Path) -> None:
+def test_holes_remove_the_requested_share(station: Path, tmp_path: Path) -> None:
     before, after = changed_cloud(station, variant("holes", share=0.5, seed=3), tmp_path / "holes")
     assert 0.3 < len(after) / len(before) < 0.5
     assert set(map(tuple, after.tolist())) < set(map(tuple, before.tolist()))
@@ -198,7 +198,7 @@ def result(level: str | None = "high", ratio: float = 1.0, name: str = "correct"
 
 def test_what_counts_as_harm_and_what_marks_it() -> None:
     assert harm.is_unmarked(result("high", 1.2))
-    assert harm.is_unmarked(result(None, 1.2))  # a result that says nothing is not marked
+    assert harm.is_unmarked(result(None, 1.2))  # a result without a confidence level is not marked
     assert harm.is_harm(result("partial", 1.2)) and not harm.is_unmarked(result("partial", 1.2))
     assert harm.is_harm(result(ratio=float("nan")))
     assert not harm.is_harm(result(ratio=1.05))
@@ -262,14 +262,14 @@ def test_a_run_from_the_variant_to_the_tables(
     ran = [r for r in written["stations"] if r["exit_code"] == 0]
     assert ran and all(r["ratios"]["detail_mad"] < 0.01 for r in ran)
     assert "unmarked harm: 0 of" in capsys.readouterr().out
-    # The second time nothing is run again: what a station had is still there.
+    # A second call runs no station again: the files in each workspace are still there.
     marker = out / f"{station.name}_0" / "marker"
     marker.touch()
     assert harm.main() == 0
     assert marker.exists()
 
 
-def test_random_stations_upon_a_pool_of_renders(station: Path) -> None:
+def test_random_stations_are_drawn_from_a_pool_of_renders(station: Path) -> None:
     pool = station.parent / "pool"
     for name in ("a", "b", "round/st0", "round/st1", "unfinished"):
         shutil.copytree(station, pool / name)
@@ -277,14 +277,14 @@ def test_random_stations_upon_a_pool_of_renders(station: Path) -> None:
     (pool / "unfinished/meta.json").unlink()
     tasks = harm.tasks_of_renders([pool], 9, 1)
     drawn = [task.station.relative_to(pool.resolve()).parts[0] for task in tasks]
-    for first in (0, 3, 6):  # each object once before any comes again
+    for first in (0, 3, 6):  # each object is drawn once before any is drawn again
         assert sorted(drawn[first : first + 3]) == ["a", "b", "round"]
     assert all(task.variant.sensor for task in tasks) and len({task.name + str(task.draw) for task in tasks}) == 9
     assert harm.tasks_of_renders([pool], 9, 1) == tasks != harm.tasks_of_renders([pool], 9, 2)
 
 
 @pytest.mark.parametrize("noisy", [False, True])
-def test_a_drawn_sensor_adds_the_noise_that_the_file_says(station: Path, tmp_path: Path, noisy: bool) -> None:
+def test_a_drawn_sensor_adds_the_noise_that_the_station_file_states(station: Path, tmp_path: Path, noisy: bool) -> None:
     rendered = tomllib.loads((station / "station.toml").read_text())["polarized"]
     size, light, white = (400, 300), 0.4, 16383
     (station / "pol").mkdir()
@@ -301,7 +301,7 @@ def test_a_drawn_sensor_adds_the_noise_that_the_file_says(station: Path, tmp_pat
     said = tomllib.loads(path.read_text())["polarized"]
     assert (said["full_well_e"], said["read_noise_e"], said["frames_averaged"]) == (10000, 16, 1 if noisy else 16)
     expected = np.sqrt((light * 10000 + 256) / said["frames_averaged"]) / 10000
-    first = tifffile.imread(path.parent / said["images"][0]) / white  # the only one that is not moved
+    first = tifffile.imread(path.parent / said["images"][0]) / white  # the only image that is not moved
     assert first.std() == pytest.approx(expected, rel=0.02)
     assert first.mean() == pytest.approx(light, abs=3e-4)
 
@@ -311,7 +311,7 @@ def test_moved_images_are_shifted_by_a_pixel_or_so() -> None:
     shifts = [station_variants.moved(u, np.random.default_rng(seed))[5:-5, 5:-5] - u[5:-5, 5:-5] for seed in range(20)]
     means = [shift.mean() for shift in shifts]
     assert 0.3 < np.abs(means).mean() < 0.8 and np.abs(means).max() < 1.1
-    assert max(np.ptp(shift) for shift in shifts) < 0.1  # by the turn
+    assert max(np.ptp(shift) for shift in shifts) < 0.1  # by the rotation
 
 
 def test_scoring_reads_the_workspace(station: Path, tmp_path: Path) -> None:
@@ -329,7 +329,7 @@ def test_scoring_reads_the_workspace(station: Path, tmp_path: Path) -> None:
 
 
 def description(**station: Any) -> dict[str, Any]:
-    """What the renderer's scenes return, as far as it is read."""
+    """The fields of a renderer's scene that the benchmark reads."""
     corners = np.array([[-30, -20, 0], [30, 20, 12.0]])
     mesh = dict(label=1, V=corners, bsdf=dict(type="pplastic", int_ior=1.5, alpha=0.2))
     board = dict(label=2, V=corners * 9, bsdf=dict(type="pplastic", int_ior=1.5, alpha=0.35))
@@ -350,7 +350,7 @@ def test_lamps_stand_above_the_support_and_out_of_the_photographs(station: dict[
         assert drawn["zenith_deg"] - half_angle > 30 or drawn["distance"] > 540
 
 
-def test_every_light_is_drawn_the_same_again() -> None:
+def test_every_light_is_drawn_reproducibly() -> None:
     lights = SimpleNamespace(
         softbox=lambda *a, **k: ("softbox", a, k), constant=lambda r: ("constant", r),
         directional=lambda *a: ("sun", a), room=lambda f: ("room", f(np.eye(3))), rectangle_in_room=lambda d, *a: d[..., 0] > 0.9,
@@ -389,7 +389,7 @@ def test_height_from_polarization_alone_has_the_printed_figures(surface: str, pr
     assert smith2016.errors(data, ["likelihood"])["likelihood"] == pytest.approx(printed_deg, abs=0.06)
 
 
-#: In place of malus-station: the truth with a step of one GSD, half as high in the prior; Eq 16 alone is refused.
+#: Stands in for malus-station: its result is the truth plus a step of one GSD, half as high in the prior; it fails with Eq 16 alone.
 _PROGRAM = """#!{python}
 import json, sys
 from pathlib import Path
@@ -439,7 +439,7 @@ def test_rendered_scenes_are_run_scored_and_tabled(station: Path, tmp_path: Path
 
 
 def test_examples_are_scored_by_their_true_depth(tmp_path: Path) -> None:
-    """Their truth is a depth map, not what the renderer leaves; nobody but us could make those figures again."""
+    """Their truth is a depth map instead of the renderer's files, so that anybody can reproduce those figures."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     truth = np.where((u > 2) & (v > 2), 600 + 0.1 * u, np.nan).astype(np.float32)
     scene, work = tmp_path / "scene", tmp_path / "work"
@@ -482,7 +482,7 @@ def test_photos_at_camera_scale_show_what_the_station_sees() -> None:
     radiance = np.concatenate([s0 for _, s0, _, _ in camera_scale.synthetic.stokes(scene)]).astype(np.float32)
     radiance *= 0.9 / radiance.max()
     depth = scene.depth.astype(np.float32)
-    # From the station's own place a photo is the station's image; from aside, a point lies where its camera says.
+    # A photo from the station's own pose is the station's image. From another pose, each point appears where that camera projects it.
     same = camera_scale.photograph(depth, radiance, scene.camera, scene.camera)
     assert np.abs(same[5:-5, 5:-5, 0] - 255 * radiance[5:-5, 5:-5] ** (1 / 2.2)).mean() < 2
     aside = camera_scale.photo_camera(scene.camera, float(np.median(depth)), (240, 160), 1, 12)
@@ -500,8 +500,8 @@ def test_photos_at_camera_scale_show_what_the_station_sees() -> None:
     assert np.corrcoef(seen.ravel(), radiance[v, u + 7].ravel())[0, 1] < 0.6
 
 
-def test_polarizer_benchmark_prints_what_a_run_says(finished_grid: Path) -> None:
-    """It ended with an error after the run when a figure was renamed."""
+def test_polarizer_benchmark_reads_only_figures_that_a_run_writes(finished_grid: Path) -> None:
+    """The benchmark once failed after the run because a figure had been renamed."""
     program = (ROOT / "benchmarks" / "polarizer.py").read_text(encoding="utf-8")
     read = set(re.findall(r"(?:plain|found)\[[\"'](\w+)[\"']\]", program))
     manifest = json.loads((finished_grid / "manifest.json").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""What a person did at the camera shows in the images, and the result says so."""
+"""Mistakes at the camera show in the images, and the checks report them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WAVES = np.stack([np.ones(6), np.cos(2 * ANGLES), np.sin(2 * ANGLES)], -1) / 2
 
 
 def measured(station: Path, change: Callable[[Images], Images]) -> tuple[Outcome, dict[str, Any]]:
-    """The station with its images (6×H×W) changed, up to its checks; its findings by their names."""
+    """Run the station with changed images (6×H×W) up to its checks; returns the outcome and the findings by check."""
     files = sorted((station.parent / "pol").glob("*.tif"))
     images = np.stack([tifffile.imread(file) for file in files]).astype(float)
     for file, image in zip(files, change(images), strict=True):
@@ -35,14 +35,14 @@ def stokes(images: Images) -> Images:
     return np.tensordot(np.linalg.pinv(WAVES), images, 1)
 
 
-def test_right_images_raise_nothing(small_station: Path) -> None:
+def test_correct_images_raise_no_finding(small_station: Path) -> None:
     _, found = measured(small_station, lambda images: images)
     assert not {"angles", "misfits", "polarization"} & set(found)
 
 
-def test_a_filter_that_turns_nothing_is_asked_about(small_station: Path) -> None:
+def test_a_filter_without_effect_on_polarization_is_reported(small_station: Path) -> None:
     def circular(images: Images) -> Images:
-        """Noise alone tells the images from each other: sixteen frames of 20000 electrons at 16383."""
+        """The images differ by noise alone: sixteen frames of 20000 electrons at 16383."""
         half = stokes(images)[0] / 2
         noise = np.random.default_rng(1).standard_normal(images.shape)
         return np.asarray(half + noise * np.sqrt(half * 16383 / 20000 / 16))
@@ -52,9 +52,9 @@ def test_a_filter_that_turns_nothing_is_asked_about(small_station: Path) -> None
     assert "nothing is polarized" in outcome.err and "circular" in outcome.err
 
 
-def test_angles_that_were_others_are_named(small_station: Path) -> None:
+def test_angles_that_differ_from_the_station_file_are_reported(small_station: Path) -> None:
     def turned_less(images: Images) -> Images:
-        """By 20° from image to image; the station file says 30°."""
+        """The polarizer turns by 20° from image to image; the station file says 30°."""
         angles = ANGLES * 2 / 3
         waves = np.stack([np.ones(6), np.cos(2 * angles), np.sin(2 * angles)], -1) / 2
         return images + np.tensordot(waves - WAVES, stokes(images), 1)
@@ -66,9 +66,7 @@ def test_angles_that_were_others_are_named(small_station: Path) -> None:
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.3, "caution"), (1, "warning")])
-def test_a_lamp_that_was_turned_on_is_worse_the_more_it_lights(
-    small_station: Path, share: float, severity: str
-) -> None:
+def test_a_lamp_turned_on_is_more_severe_the_more_it_lights(small_station: Path, share: float, severity: str) -> None:
     def lit(images: Images) -> Images:
         width = images.shape[2]
         lamp = np.where(np.arange(width) < share * width, np.linspace(0.1, 0.6, width), 0)

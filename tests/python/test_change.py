@@ -1,4 +1,4 @@
-"""Two dates of one object whose difference is known by construction: a stone, and the same with a dent and a lump."""
+"""Two dates of one object whose difference is known by construction: a stone, and the same stone with a dent and a lump."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_dent_and_lump_are_found_with_their_depth(dates: tuple[Path, Path], outc
     v, u = np.indices(distance.shape)
     for ((u0, v0, radius), deep), region in found.items():
         inner = np.hypot(u - u0, v - v0) < radius - 6
-        # As deep as it was made, within what the comparison says that it can tell.
+        # The measured depth is the true one within the detection limit that the comparison states.
         assert abs(np.median(distance[inner]) + deep * gsd) < np.median(limit[inner]) < 2 * gsd
         assert abs(region["u"] - u0) < 3 and abs(region["v"] - v0) < 3
         area = np.pi * radius**2 * (gsd**2)
@@ -60,18 +60,18 @@ def test_dent_and_lump_are_found_with_their_depth(dates: tuple[Path, Path], outc
         untouched &= np.hypot(u - u0, v - v0) > radius + 12
     known = untouched & np.isfinite(distance)
     assert known.sum() > 0.75 * distance.size
-    # What is called significant where nothing changed is rare.
+    # Where nothing changed, few pixels are called significant.
     assert (np.abs(distance) > limit)[known].mean() < 0.05
     assert "2 changed parts" in told and "lost" in told and "added" in told
 
 
-def test_frames_are_found_by_features(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
+def test_registration_by_features_recovers_the_frame(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
     figures = json.loads((outcome[0] / "change.json").read_text())
     registration = figures["registration"]
     rotation, translation = LATER
-    # Both cameras stand at the same place: the earlier frame is the later camera's.
+    # Both cameras stand at the same place, so the earlier world frame is the later camera's frame.
     assert registration["by"] == "features"
-    # Stereo's errors of half a GSD over a hundred pixels tilt either surface.
+    # Stereo errors of half a GSD over a hundred pixels tilt both surfaces.
     np.testing.assert_allclose(registration["rotation"], rotation, atol=5e-3)
     gsd = malus.Workspace(dates[0]).quality["gsd"]
     middle = malus.Workspace(dates[1]).surface().depth.mean()
@@ -81,7 +81,7 @@ def test_frames_are_found_by_features(dates: tuple[Path, Path], outcome: tuple[P
     assert registration["size_after_over_before"] == pytest.approx(1, abs=2e-3)
 
 
-def test_files_are_read_back_by_others(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
+def test_files_are_readable_by_other_programs(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
     rasterio = pytest.importorskip("rasterio")
     folder, _ = outcome
     with rasterio.open(folder / "distance_dem.tif") as file, rasterio.open(dates[0] / "fused/dem.tif") as dem:
@@ -99,25 +99,27 @@ def test_files_are_read_back_by_others(dates: tuple[Path, Path], outcome: tuple[
     }
 
 
-def test_parts_are_told_that_chance_does_not_explain(dates: tuple[Path, Path]) -> None:
+def test_only_regions_that_chance_does_not_explain_are_reported(dates: tuple[Path, Path]) -> None:
     before = Exporter(malus.Workspace(dates[0]))
     gsd = float(before.workspace.quality["gsd"])
     limit = np.full(before.surface.depth.shape, gsd, np.float32)
     distance = np.zeros_like(limit)
-    distance[20:26, 20:26] = 1.4 * gsd  # 1.5 sections of a cylinder of 2.8 px: chance, among the 1700 places here
+    distance[20:26, 20:26] = (
+        1.4 * gsd
+    )  # 1.5 sections of a cylinder of radius 2.8 px: chance among the 1700 independent places here
     distance[20:28, 60:68] = 2 * gsd
     distance[80:120, 80:120] = -1.4 * gsd
     found = find_regions(before, Distances(distance, limit, before.surface.depth, 2.8 * gsd))
     assert sorted((round(region.u), round(region.v)) for region in found) == [(64, 24), (100, 100)]
 
 
-def test_a_surface_has_not_changed_against_itself(dates: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_surface_compared_with_itself_shows_no_change(dates: tuple[Path, Path], tmp_path: Path) -> None:
     change = malus.compare(dates[0], dates[0], tmp_path / "none", threads=2)
     gsd = malus.Workspace(dates[0]).quality["gsd"]
     assert change.regions == [] and np.nanmax(np.abs(change.distance)) < 0.2 * gsd
     assert np.nanmedian(np.abs(change.distance)) < 0.02 * gsd
     assert "no change" in malus.change.change_summary(change.figures)[0]
-    # The folder of a comparison may be written again; any other is left alone.
+    # A comparison may overwrite the folder of an earlier one, but no other folder.
     malus.compare(dates[0], dates[0], tmp_path / "none", same_frame=True, threads=2)
     with pytest.raises(malus.InputError, match="is there already"):
         malus.compare(dates[0], dates[0], dates[1])
@@ -133,13 +135,13 @@ def test_a_folder_that_holds_a_workspace_is_not_replaced(dates: tuple[Path, Path
     assert (tmp_path / "work/quality.json").exists()
 
 
-def test_same_frame_moves_nothing(dates: tuple[Path, Path], tmp_path: Path) -> None:
+def test_same_frame_refuses_surfaces_in_different_frames(dates: tuple[Path, Path], tmp_path: Path) -> None:
     with pytest.raises(malus.DataError, match="does not lie upon"):
         malus.compare(*dates, tmp_path / "elsewhere", same_frame=True)
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_surfaces_apart_in_the_same_frame_are_told(dates: tuple[Path, Path]) -> None:
+def test_an_offset_between_surfaces_in_the_same_frame_gives_a_warning(dates: tuple[Path, Path]) -> None:
     before, after = (Exporter(malus.Workspace(dates[0])) for _ in range(2))
     gsd = before.workspace.quality["gsd"]
     surface = after.surface
@@ -151,7 +153,7 @@ def test_surfaces_apart_in_the_same_frame_are_told(dates: tuple[Path, Path]) -> 
     assert _warnings(before, before, register(before, before, same_frame=True, threads=2)) == []
 
 
-def test_limit_without_scatter_has_the_error_of_the_registration(
+def test_limit_without_scatter_includes_the_registration_error(
     dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = Exporter(malus.Workspace(dates[0]))
@@ -167,7 +169,7 @@ def test_limit_without_scatter_has_the_error_of_the_registration(
 
 
 @pytest.mark.parametrize("option", ["--json", "--quiet"])
-def test_no_warning_is_lost_for_programs(tmp_path: Path, option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_and_quiet_output_keep_every_warning(tmp_path: Path, option: str, monkeypatch: pytest.MonkeyPatch) -> None:
     change = Change(np.zeros(0), np.zeros(0), [], {"warnings": ["one [thing]", "another"]}, tmp_path)
     monkeypatch.setattr(malus, "compare", lambda *given, **options: change)
     told = malus_here("compare", "a", "b", option)

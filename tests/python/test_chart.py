@@ -19,16 +19,16 @@ from malus import chart, synthetic
 with np.printoptions():  # its import changes how numpy prints numbers for all tests that follow
     colour = pytest.importorskip("colour")
 cv2 = pytest.importorskip("cv2")
-# Of the library's optional parts.
+# colour-science warns about its optional parts.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
-#: The camera's linear RGB of linear sRGB.
+#: Matrix from linear sRGB to the camera's linear RGB.
 CAMERA = np.array([[0.55, 0.25, 0.10], [0.18, 0.62, 0.12], [0.05, 0.20, 0.60]])
 
 
 @pytest.fixture(scope="module")
 def photograph(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
-    """A chart seen askew, noisy, 16 bits; and the centers of its corner patches."""
+    """A noisy 16-bit photograph of a chart in perspective, and the centers of its corner patches."""
     side, reference = 60, chart._reference(colour)
     flat = np.full((4 * side + 60, 6 * side + 60, 3), 0.02)
     for k, color in enumerate(reference):
@@ -55,12 +55,12 @@ def test_the_cameras_colors_are_found(photograph: tuple[Path, np.ndarray], tmp_p
     assert "CIEDE2000" in told.out
     found = chart.ColorCorrection.load(tmp_path / "chart.json")
     np.testing.assert_allclose(found.matrix @ CAMERA * 0.8, np.eye(3), atol=0.02)
-    # Noise of 0.3 % of white, in the mean over a patch.
+    # Pixel noise of 0.3 % of white, averaged over each patch.
     assert found.delta_e.mean() < 0.5 and found.delta_e_left_out.max() < 2
     np.testing.assert_allclose(found.corners, corners, atol=6)
 
 
-def test_what_cannot_be_right_is_refused(photograph: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+def test_unusable_charts_are_refused(photograph: tuple[Path, np.ndarray], tmp_path: Path) -> None:
     path, corners = photograph
     with pytest.raises(malus.DataError, match="the right way up"):
         chart.measure_chart(path, corners=np.roll(corners, 2, axis=0).ravel().tolist())
@@ -77,7 +77,7 @@ def test_what_cannot_be_right_is_refused(photograph: tuple[Path, np.ndarray], tm
         chart.ColorCorrection.load(tmp_path / "c.json")
 
 
-def test_textures_have_the_charts_colors(tmp_path: Path) -> None:
+def test_textures_are_corrected_by_the_chart(tmp_path: Path) -> None:
     station = synthetic.write_station(tmp_path / "station", 200, 140, prior="depth")
     paint = np.array([0.9, 0.5, 0.3])
     for path in (tmp_path / "station/pol").iterdir():
@@ -103,7 +103,7 @@ def test_textures_have_the_charts_colors(tmp_path: Path) -> None:
     assert ply.stat().st_size > 1000
 
 
-def test_gray_stations_and_missing_packages_say_so(
+def test_gray_stations_and_missing_packages_are_reported(
     finished_grid: Path, photograph: tuple[Path, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     correction = chart.ColorCorrection(np.eye(3), np.zeros(24), np.zeros(24), np.zeros((4, 2)), "here")

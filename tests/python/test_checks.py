@@ -1,4 +1,4 @@
-"""What a run says of inputs that do not belong together: warnings, low confidence, or no run at all."""
+"""How a run reacts to inputs that do not belong together: warnings, low confidence, or refusal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def findings(work: Path) -> dict[str, dict[str, Any]]:
     return {finding["check"]: finding for finding in json.loads((work / "evidence/findings.json").read_text())}
 
 
-def test_right_inputs_leave_notes_only(finished_grid: Path) -> None:
+def test_correct_inputs_give_only_notes(finished_grid: Path) -> None:
     found = findings(finished_grid)
     assert set(found) == {"order", "response", "contrast", "size", "phase", "prior"}
     assert {finding["severity"] for finding in found.values()} == {"note"}
@@ -44,7 +44,7 @@ def test_report_has_every_finding(finished_grid: Path) -> None:
         assert markupsafe.escape(finding["message"][1:]) in page
 
 
-def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: Path) -> None:
+def test_a_warning_is_printed_and_lowers_confidence(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
     work = tmp_path / "work"
     outcome = malus_station(small_station, "-o", work, "--fusion", "grid")
@@ -57,7 +57,7 @@ def test_a_warning_is_said_and_lowers_confidence(small_station: Path, tmp_path: 
     assert any(text in warning for warning in quality["warnings"])
 
 
-def test_what_a_part_of_the_result_suffers_from_makes_it_partial(small_station: Path, tmp_path: Path) -> None:
+def test_a_fault_in_part_of_the_image_makes_confidence_partial(small_station: Path, tmp_path: Path) -> None:
     path = small_station.parent / "pol/pol_060.tif"
     pixels = tifffile.imread(path)
     pixels[20:140, 20:100] //= 2
@@ -79,7 +79,7 @@ def direction_exchanged(station: Path) -> Path:
 
 
 @pytest.mark.parametrize("until", ["fuse", "evidence", "assess"])
-def test_what_is_certainly_wrong_is_not_fused(small_station: Path, tmp_path: Path, until: str) -> None:
+def test_certainly_wrong_inputs_are_not_fused(small_station: Path, tmp_path: Path, until: str) -> None:
     direction_exchanged(small_station)
     work = tmp_path / "work"
     options = ("--set", "polarizer.calibrate_angles=off", "--fusion", "grid", "--until", until)
@@ -103,7 +103,7 @@ def test_errors_can_be_overruled_but_not_hidden(small_station: Path, tmp_path: P
     assert any("turns against the slopes" in reason for reason in quality["confidence"]["reasons"])
 
 
-def test_the_surroundings_are_kept_where_a_mask_leaves_them_out(small_station: Path, tmp_path: Path) -> None:
+def test_the_scene_image_keeps_what_the_mask_excludes(small_station: Path, tmp_path: Path) -> None:
     mask = tifffile.imread(small_station.parent / "pol/pol_000.tif").astype("uint8")
     mask[:] = 0
     mask[20:140, 20:180] = 255

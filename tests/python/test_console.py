@@ -1,4 +1,4 @@
-"""What the console says: overall progress and time left, closing lines, the options that matter."""
+"""Console output: overall progress and time left, closing lines, errors, the main options."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-def test_steps_count_by_their_expected_time(clock: list[float]) -> None:
+def test_overall_progress_weights_steps_by_their_expected_time(clock: list[float]) -> None:
     overall = Overall([("a", 10), ("b", 30)])
     overall.update("a", 0.5)
     overall.update("unknown", 1.0)
@@ -35,7 +35,7 @@ def test_steps_count_by_their_expected_time(clock: list[float]) -> None:
     assert overall.fraction == pytest.approx(25 / 40)
 
 
-def test_time_left_follows_the_speed_that_was_met(clock: list[float]) -> None:
+def test_time_left_follows_the_measured_speed(clock: list[float]) -> None:
     overall = Overall([("kept", 1000), ("a", 1000), ("b", 1000)])
     overall.update("kept", 1.0)
     assert overall.seconds_left == pytest.approx(2000)
@@ -45,7 +45,7 @@ def test_time_left_follows_the_speed_that_was_met(clock: list[float]) -> None:
     assert overall.seconds_left == pytest.approx(1000 * 3005 / 1005)
 
 
-def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:
+def test_json_events_have_the_overall_progress(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:
     view = JsonProgress()
     view.expect([("a", 1), ("b", 3)])
     view.progress("a", 0.0, "")
@@ -55,7 +55,7 @@ def test_json_events_say_how_far_everything_is(capsys: pytest.CaptureFixture[str
     assert event["seconds_left"] > 0
 
 
-def test_no_time_is_made_up_where_none_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_time_left_is_given_before_it_is_known(capsys: pytest.CaptureFixture[str]) -> None:
     view = JsonProgress()
     view.expect([("batch", 60.0)], guessed=True)
     for fraction in (0.0, 0.5):
@@ -77,7 +77,7 @@ def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     first, *others = capsys.readouterr().out.splitlines()
     assert max(map(len, (first, *others))) <= 60 and all(line.startswith("    ") for line in others)
     assert " ".join((first + " " + " ".join(others)).split()) == " ".join(said.split())
-    cli._print_lines("1 of 2 stations failed\n  o1: no such file")  # what has lines keeps them
+    cli._print_lines("1 of 2 stations failed\n  o1: no such file")  # a text of several lines keeps its line breaks
     assert capsys.readouterr().out == "1 of 2 stations failed\n  o1: no such file\n"
 
 
@@ -92,7 +92,7 @@ def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])
-def test_durations_as_people_say_them(seconds: float, said: str) -> None:
+def test_durations_are_rounded_for_reading(seconds: float, said: str) -> None:
     assert duration(seconds) == said
 
 
@@ -106,7 +106,7 @@ def test_closing_lines_say_size_accuracy_and_warnings(finished_grid: Path) -> No
     assert not any("converged" in line for line in lines)
 
 
-def test_what_did_not_come_to_rest_is_said_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
+def test_missing_convergence_is_explained_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
     outcome = run_malus(
         "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",
         "--set", "height.iterations=1", "--set", "optimize.enabled=true",
@@ -137,26 +137,26 @@ def test_options_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypat
 def test_errors_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli.sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.chdir("/")  # a long path of the test's folder stays in one piece
+    monkeypatch.chdir("/")  # the long path of the test's folder would not be broken over lines
     assert cli.main(["check", r"C:\Users\Anna\museum\station.toml"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert max(map(len, lines)) <= 80 and len(lines) > 1
     assert "drive C: of Windows is /mnt/c in WSL" in " ".join(line.strip() for line in lines)
 
 
-def test_results_do_not_lie_among_the_inputs(small_station: Path) -> None:
+def test_results_are_not_written_among_the_inputs(small_station: Path) -> None:
     outcome = run_malus("run", small_station, "-o", small_station.parent)
     assert outcome.code == 2 and "station_work" in outcome.err
     assert not (small_station.parent / "manifest.json").exists()
 
 
-def test_single_steps_say_what_they_left(finished_grid: Path, small_station: Path, tmp_path: Path) -> None:
+def test_single_steps_list_the_files_they_wrote(finished_grid: Path, small_station: Path, tmp_path: Path) -> None:
     outcome = run_malus("decompose", small_station, "-o", tmp_path / "work")
     assert outcome.code == 0, outcome.err
     assert "polarization/degree.tif" in outcome.out and "polarization/zenith.tif" in outcome.out
 
 
-def test_a_slip_in_a_word_is_told() -> None:
+def test_misspelled_words_get_a_suggestion() -> None:
     for words, said in (
         (["studo"], "'studo' is unknown; did you mean studio?"),
         (["demo", "coins"], "'coins' is unknown; did you mean coin?"),
@@ -169,7 +169,7 @@ def test_a_slip_in_a_word_is_told() -> None:
         assert outcome.code == 2 and said in outcome.err, outcome.err
 
 
-def test_help_is_without_numbers_of_the_paper() -> None:
+def test_help_has_no_equation_or_figure_numbers() -> None:
     for command in ((), ("fuse",), ("height",), ("decompose",)):
         assert not re.search(r"\b(Eq|Fig)\b", run_malus(*command, "--help").out)
 
@@ -196,7 +196,7 @@ def test_help_is_without_numbers_of_the_paper() -> None:
         ("run FOLDER/a.toml -o FOLDER/w --reference FOLDER/none.ply", "--reference FOLDER/none.ply: no such file"),
     ],
 )
-def test_what_is_not_there_is_told_from_what_is_wrong(tmp_path: Path, command: str, words: str) -> None:
+def test_missing_files_and_wrong_files_are_told_apart(tmp_path: Path, command: str, words: str) -> None:
     (tmp_path / "station.toml").write_text('[polarized]\nimages = "pol"\n[object]\ntitle = "Stone"\n')
     (tmp_path / "object.toml").write_text('[object]\nstations = ["station.toml"]\n')
     (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["station.toml"]\n')
@@ -204,14 +204,14 @@ def test_what_is_not_there_is_told_from_what_is_wrong(tmp_path: Path, command: s
     assert outcome.code == 2 and words.replace("FOLDER", str(tmp_path)) in outcome.err
 
 
-def test_a_program_starts_without_what_only_figures_need() -> None:
-    """matplotlib alone takes as long to import as all the rest."""
+def test_the_program_starts_without_importing_matplotlib() -> None:
+    """Importing matplotlib takes as long as importing everything else."""
     outcome = run_program(sys.executable, "-c", "import sys, malus.cli; print('matplotlib' in sys.modules)")
     assert outcome.out.strip() == "False", outcome.err
 
 
 def test_words_in_brackets_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
-    """The names of the station's tables were taken for colors, and lost; lines were broken after 80 letters."""
+    """Names of station tables in brackets were once taken for colors and lost, and lines were broken after 80 characters."""
     view = BarProgress()
     warning = f"the height may be upside down: give [optics] light = [x, y, z]; {'and more of it, ' * 8}[/red] at last"
     with view:

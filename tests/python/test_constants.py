@@ -1,4 +1,4 @@
-"""The benchmark of the constants without its runs: what it finds in the sources and in the table of constants, and what it says of figures."""
+"""The benchmark of the constants without its runs: the constants it finds in the sources and in docs/constants.md, and its summary of figures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_constants_are_found_and_rewritten(tree: Path, found: dict[str, Any]) ->
     text = (tree / "cpp/malus/prior/project_prior.cpp").read_text()
     assert 'static const int stride = malus_varied::of<int>("project_prior.cpp:stride", 4);' in text
     assert "constexpr double weighted_gaussian_variance = 0.5808;" in text
-    # What follows from others is computed as the program starts.
+    # A constant that follows from other constants is computed as the program starts.
     assert "const double last_index = first_index" in (tree / "cpp/malus/fusion/index_search.cpp").read_text()
 
 
@@ -67,6 +67,6 @@ def test_figures_are_means_over_stations() -> None:
     assert constants.cell(constants.summary([row("a", 0.5, 1.0, True), row("a", 1.5, 1.0, True)])) == "nothing"
     not_reached = dict(key="a", factor=0.5, station="a", reached=False)
     assert constants.cell(constants.summary([not_reached])) == "not reached"
-    # Where the code is not reached nothing changes.
+    # A station that does not reach the code counts as unchanged.
     halved = constants.summary([row("a", 0.5, 1.21), not_reached | dict(station="b")])
     assert halved["mean"]["0.5"] == pytest.approx(1.1)

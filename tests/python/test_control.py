@@ -1,4 +1,4 @@
-"""Control points: a camera's pose, the frame of a photo model, and what is said of points that do not fit."""
+"""Control points: a camera's pose, the frame of a photo model, and the messages about points that do not fit."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_pose_of_a_camera_on_arrays() -> None:
 
 @pytest.fixture
 def resected(small_station: Path) -> tuple[Path, package.Camera, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """The small station with a lens without pose; its camera, targets in the world and their marks."""
+    """The small station with a lens but no pose; its true camera, the targets' world coordinates and their pixels."""
     said = package.Station.load(small_station).describe()["camera"]
     camera = package.Camera(**said)
     rotation, translation = camera.pose()
@@ -103,13 +103,13 @@ def resected(small_station: Path) -> tuple[Path, package.Camera, dict[str, np.nd
     return small_station, camera, points, {name: seen(camera, point) for name, point in points.items()}
 
 
-def test_a_station_stands_where_its_control_points_put_it(
+def test_a_station_takes_its_pose_from_its_control_points(
     resected: tuple[Path, package.Camera, dict[str, np.ndarray], dict[str, np.ndarray]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path, camera, points, pixels = resected
-    monkeypatch.chdir(tmp_path)  # where checks leave their pictures
+    monkeypatch.chdir(tmp_path)  # a check writes its picture into the current folder
     text = path.read_text()
     path.write_text(text + as_toml(points, pixels, check="F"))
     found = package.Station.load(path).describe()
@@ -127,7 +127,7 @@ def test_a_station_stands_where_its_control_points_put_it(
     assert image["use"] == "resection" and image["rms_px"] < 0.05 and image["doubtful"] is None
     assert [fit["name"] for fit in image["points"] if fit["check"]] == ["F"]
     page = (work / "report" / "index.html").read_text()
-    assert "Control points" in page and "The place of the camera is found from the points" in page
+    assert "Control points" in page and "The pose of the camera is computed from the points" in page
 
     pixels["C"] += [4, 3]
     path.write_text(text + as_toml(points, pixels))
@@ -147,7 +147,7 @@ def model_and_points(folder: Path) -> tuple[dict[str, package.Camera], np.ndarra
 
 
 def control_points(cameras: dict[str, package.Camera], points: np.ndarray, known: np.ndarray) -> list[dict[str, Any]]:
-    """As `Station.describe` says them: places of the model, marked in four photos, with their known coordinates."""
+    """Control points as `Station.describe` lists them: points of the model, marked in four photos, with known coordinates."""
     entries = []
     for number, (place, xyz) in enumerate(zip(points, known, strict=True)):
         pixels = {name: seen(cameras[name], place) for name in sorted(cameras)[:: len(cameras) // 4][:4]}
@@ -174,7 +174,7 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
         for mark in entry["marks"]:
             assert np.hypot(*(seen(moved[mark["image"]], np.array(entry["xyz"])) - [mark["x"], mark["y"]])) < 0.02
 
-    # A point that only checks says nothing about how large the frame is.
+    # The extent of the frame is stated without the points that only check.
     size = float(np.linalg.norm(np.ptp(known[:5], axis=0)))
     apart = [{**entry, "xyz": [*entry["xyz"][:2], entry["xyz"][2] + shift * size]} for entry, shift in
              zip(entries, [.012, -.012, .012, -.012, .012, 20], strict=True)]  # fmt: skip
@@ -193,7 +193,7 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     assert "marked in 1 photos with a position" in said[-1][1]
 
 
-def test_too_few_control_points_are_said_before_photos_are_matched(tmp_path: Path) -> None:
+def test_too_few_control_points_are_reported_before_photos_are_matched(tmp_path: Path) -> None:
     station, used = demo_with_photos(tmp_path / "station")
     cameras, points = model_and_points(EXAMPLE / "sparse")
     lines = []
@@ -215,7 +215,7 @@ def test_too_few_control_points_are_said_before_photos_are_matched(tmp_path: Pat
     shutil.which("colmap") is None and find_spec("pycolmap") is None, reason="neither COLMAP nor pycolmap is installed"
 )
 def test_photos_of_a_station_take_the_frame_of_its_control_points(tmp_path: Path) -> None:
-    """The demo station at half size: points of its own model, known in the model's frame turned and moved."""
+    """The demo station with points of its own model, whose known coordinates are in a rotated and moved frame."""
     station, used = demo_with_photos(tmp_path / "station")
     cameras, points = model_and_points(EXAMPLE / "sparse")
     marked = {name: cameras[name] for name in used}

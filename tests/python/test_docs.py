@@ -1,4 +1,4 @@
-"""What the documentation says can be done is done: every command and program on its pages runs, every link leads somewhere."""
+"""The documentation is tested: its commands and programs run, its files can be read, and every link has a target."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md")) + [ROOT / "README.md", ROOT / "ARCHITECTURE.md"]
 TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-#: What a block may be: what a test runs, reads or builds; text is neither: listings, formulas, and how a command is written.
+#: The kinds of blocks. Tests run, read or build all of them except text: listings, formulas, and the syntax of commands.
 KINDS = {"console", "python", "toml", "cpp", "cmake", "text"}
 MARK = re.compile(r"<!-- (run by|read as)( a part of)? (\S+) -->\n\n```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def prepare(kind: str, target: Path) -> None:
-    """The folder that a page begins with, from the example station."""
+    """Make the folder that a page begins with from the example station."""
     if kind == "examples/relief without station.toml":
-        cut_out(target, WINDOW, PATCH)  # as much as it takes to see that the commands work
+        cut_out(target, WINDOW, PATCH)  # large enough to test the commands
         (target / "station.toml").unlink()
         return
     if kind.startswith("examples/"):
@@ -58,7 +58,7 @@ def prepare(kind: str, target: Path) -> None:
         return
     assert kind.startswith("one mosaic image")
     cut_out(target, WINDOW, PATCH)
-    # Of four images at 0 to 135 degrees each pixel is one sample of the sinusoid through six.
+    # Each pixel of the mosaic is one sample, at 0 to 135 degrees, of the sinusoid fitted to the six images.
     stack = np.stack([tifffile.imread(path) for path in sorted((target / "pol").iterdir())]).astype(float)
     phases = 2 * np.radians(range(0, 180, 30))
     mean, c, s = stack.mean(0), (stack.T @ np.cos(phases)).T / 3, (stack.T @ np.sin(phases)).T / 3
@@ -106,12 +106,12 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
 
 
 def test_every_block_is_run_or_is_text() -> None:
-    """A command, a program or a file on a page is tried by some test; what is not says so by its kind."""
+    """Some test runs, reads or builds every command, program and file on a page; the kind of any other block is text."""
     wrong = []
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         marked = {block for *_, block in MARK.findall(text)}
-        whole = page in TUTORIALS or page.name == "README.md"  # these are run from their beginning to their end
+        whole = page in TUTORIALS or page.name == "README.md"  # tests run these pages from beginning to end
         for kind, block in BLOCK.findall(text):
             known = kind in KINDS and (kind in ("text", "cpp", "cmake") or whole or block in marked)
             if not known:
@@ -138,7 +138,7 @@ def test_marked_commands_are_in_the_test_that_their_page_names() -> None:
 
 
 def stations_of_a_page(page: str, folder: Path) -> None:
-    """What the files on a page name."""
+    """Make the inputs that the files on a page name."""
     if page in ("station-file.md", "metashape.md"):
         shutil.copytree(ROOT / "examples/relief", folder, dirs_exist_ok=True)
         for name in ("cloud.ply", "scan.ply"):
@@ -159,7 +159,7 @@ def stations_of_a_page(page: str, folder: Path) -> None:
 
 @pytest.mark.parametrize("page", ["station-file.md", "tutorials/metashape.md", "batch.md", "object.md"])
 def test_files_on_a_page_are_read(page: str, tmp_path: Path) -> None:
-    """By the program, not as TOML only: every key is known, every value of its kind."""
+    """Malus reads them, not just a TOML parser: it must know every key and accept every value."""
     stations_of_a_page(Path(page).name, tmp_path)
     readers = {"station.toml": Station.load, "campaign.toml": Campaign.load, "object.toml": Object.load}
     count = 0
@@ -180,22 +180,22 @@ def test_files_on_a_page_are_read(page: str, tmp_path: Path) -> None:
 
 def _commands_of(text: str) -> list[list[str]]:
     """The words of everything on a page that begins with `malus` and one of its commands."""
-    # Single backticks may be broken over two lines.
+    # Code in single backticks may span two lines.
     lines = [line.removeprefix("$ ").strip() for _, block in BLOCK.findall(text) for line in block.splitlines()]
     lines += re.findall(r"(?<!`)`([^`]+)`(?!`)", BLOCK.sub("", text))
     lines = [re.sub(r"\s+", " ", line).split(" #")[0].removeprefix(".venv/bin/") for line in lines]
     return [words for line in lines if len(words := line.split()) > 1 and words[0] == "malus"]
 
 
-def test_every_command_on_the_pages_is_there() -> None:
-    """What is not run is at least a command, and has options, that the program knows."""
+def test_every_command_on_the_pages_exists() -> None:
+    """Commands that no test runs must at least exist, and so must their options."""
     from malus import cli
 
     (choices,) = (action.choices for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
     wrong, seen = [], set()
     for page in PAGES:
         for words in _commands_of(page.read_text(encoding="utf-8")):
-            # `malus demo relief|bust|coin|glass`, `malus COMMAND …`: words in capitals stand for others.
+            # `malus demo relief|bust|coin|glass`, `malus COMMAND …`: words in capitals are placeholders.
             command = choices.get(words[1])
             if command is None:
                 if not words[1].isupper() and words[1].isalpha():
@@ -224,7 +224,7 @@ def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path) -> 
     (tmp_path / "station.toml").write_text(blocks["toml"])
     outcome = run_malus("check", "station.toml", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
-    # The program, of as little as will do; its last line names images and angles that the reader has.
+    # The commands and the program run on a small window; `given` defines the reader's images and angles, which the program uses.
     small = tmp_path / "small"
     cut_out(small, TINY_WINDOW, TINY_PATCH)
     for line in blocks["console"].splitlines():
@@ -239,7 +239,7 @@ def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if target.startswith(("http:", "https:", "mailto:")):
@@ -270,7 +270,7 @@ def test_cpp_on_the_pages_is_what_the_tests_build() -> None:
 
 
 def test_help_of_an_option_stands_alone() -> None:
-    """Editors show it without that of the option before it."""
+    """Editors show the help of an option without that of the option before it."""
     options = (ROOT / "python/malus/_option_types.py").read_text(encoding="utf-8")
     helps = re.findall(r'^    """(.*)"""$', options, re.MULTILINE)
     assert len(helps) > 150
@@ -285,7 +285,7 @@ def test_troubleshooting_quotes_messages_that_exist() -> None:
         for path in (ROOT / folder).rglob("*")
         if path.suffix in (".cpp", ".h", ".py")
     )
-    # Messages are written in pieces that the compiler joins.
+    # Messages are written as several literals that the compiler joins.
     sources = re.sub(r'"\s*\n\s*(?:<<\s*|\+\s*|f)?"', "", sources)
     rows = re.findall(r"^\| (.*?) \|", (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
     quotes = [quote for row in rows for quote in re.findall(r"`([^`]+)`", row) if " " in quote]

@@ -1,4 +1,4 @@
-"""What image files say of their response curve, against what the station file says."""
+"""The response curve that image files declare, compared with the one in the station file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PIXELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
 
 
 def profile_of_exponent(exponent: float) -> bytes:
-    """A gray ICC profile of version 2 whose curve is a power."""
+    """A gray ICC profile of version 2 whose curve is a power law."""
     curve = b"curv\0\0\0\0" + (1).to_bytes(4, "big") + round(exponent * 256).to_bytes(2, "big") + b"\0\0"
     white = b"XYZ \0\0\0\0" + b"".join(round(x * 65536).to_bytes(4, "big") for x in (0.9642, 1.0, 0.8249))
     text = b"gray of a power\0"
@@ -44,7 +44,7 @@ def saved(path: Path, **how: object) -> Path:
     return path
 
 
-def test_profiles_say_whether_files_follow_the_light(tmp_path: Path) -> None:
+def test_profiles_say_whether_files_are_linear(tmp_path: Path) -> None:
     encoded = encoding_of(saved(tmp_path / "a.jpg", color=True, icc_profile=srgb()))
     assert encoded is not None and not encoded.is_linear and "sRGB" in encoded.source
     linear = encoding_of(saved(tmp_path / "b.png", icc_profile=profile_of_exponent(1.0)))
@@ -56,7 +56,7 @@ def test_profiles_say_whether_files_follow_the_light(tmp_path: Path) -> None:
     assert developed is not None and developed.is_linear
 
 
-def test_entries_without_a_profile(tmp_path: Path) -> None:
+def test_metadata_other_than_profiles_say_whether_files_are_linear(tmp_path: Path) -> None:
     gamma = PngImagePlugin.PngInfo()
     gamma.add(b"gAMA", (100000).to_bytes(4, "big"))
     linear = encoding_of(saved(tmp_path / "a.png", pnginfo=gamma))
@@ -69,7 +69,7 @@ def test_entries_without_a_profile(tmp_path: Path) -> None:
     assert raw is not None and raw.is_linear
 
 
-def test_files_that_say_nothing(tmp_path: Path) -> None:
+def test_files_without_metadata_have_no_known_encoding(tmp_path: Path) -> None:
     for name in ("a.jpg", "b.png", "c.tif"):
         assert encoding_of(saved(tmp_path / name)) is None
     assert encoding_of(tmp_path / "missing.png") is None
@@ -91,13 +91,13 @@ def test_doubts_where_file_and_station_file_disagree(tmp_path: Path) -> None:
 
 @pytest.fixture
 def with_profile(small_station: Path) -> Path:
-    """The station's images say that they are encoded for a display, which they are not."""
+    """The station's images are linear but carry a profile of a display encoding."""
     for path in (small_station.parent / "pol").iterdir():
         tifffile.imwrite(path, tifffile.imread(path), iccprofile=profile_of_exponent(2.2))
     return small_station
 
 
-def test_check_says_it(with_profile: Path, tmp_path: Path) -> None:
+def test_check_reports_a_contradicting_profile(with_profile: Path, tmp_path: Path) -> None:
     outcome = malus("check", with_profile, cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     assert "images are encoded for a display by what their files say" in outcome.out
@@ -105,7 +105,7 @@ def test_check_says_it(with_profile: Path, tmp_path: Path) -> None:
     assert "encoded for a display" not in malus("check", with_profile, cwd=tmp_path).out
 
 
-def test_a_profile_does_not_outdo_what_the_light_says(with_profile: Path, tmp_path: Path) -> None:
+def test_a_profile_does_not_overrule_the_response_found_in_the_images(with_profile: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     outcome = malus("run", with_profile, "-o", work, "--fusion", "grid")
     assert outcome.code == 0, outcome.err

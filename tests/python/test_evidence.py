@@ -1,4 +1,4 @@
-"""malus.evidence on arrays: what a person got wrong is said before anything is fused."""
+"""malus.evidence on arrays: mistakes in the inputs are reported before anything is fused."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def camera(scene: synthetic.Scene) -> Camera:
 
 
 def points(scene: synthetic.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Camera frame, N×3, and the colors that a camera without a filter would give them."""
+    """Points in the camera frame (N×3) and their colors as a camera without a polarizer sees them."""
     fx, fy, cx, cy = scene.camera.params
     v, u = np.indices(scene.depth.shape)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u, float)], -1)
@@ -41,7 +41,7 @@ def normals(scene: synthetic.Scene) -> np.ndarray:
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
 
-def test_phase_agrees_and_turns_against_a_wrong_direction(
+def test_phase_fits_the_slopes_and_contradicts_a_wrong_direction(
     scene: synthetic.Scene,
     images: list[np.ndarray],
     angles: np.ndarray,
@@ -58,7 +58,7 @@ def test_phase_agrees_and_turns_against_a_wrong_direction(
     assert "angle_direction" in against.suggestion
 
 
-def test_cloud_in_its_place_and_beside_it(
+def test_cloud_in_place_and_shifted(
     scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera
 ) -> None:
     cloud, colors = points(scene)
@@ -73,13 +73,13 @@ def test_cloud_in_its_place_and_beside_it(
     assert meters.severity != "note", meters.message
 
 
-def test_depth_map_in_its_place(scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera) -> None:
+def test_depth_map_in_place(scene: synthetic.Scene, state: polarization.PolarizationState, camera: Camera) -> None:
     assert evidence.check_depth(scene.depth, state, camera).severity == "note"
     with pytest.raises(malus.InputError, match="depth map"):
         evidence.check_depth(scene.depth[:-1], state, camera)
 
 
-def test_size_in_words(scene: synthetic.Scene, camera: Camera) -> None:
+def test_size_is_stated_and_a_wrong_unit_reported(scene: synthetic.Scene, camera: Camera) -> None:
     cloud, _ = points(scene)
     right = evidence.check_size(cloud, camera, unit="mm")
     assert right.severity == "note"
@@ -120,7 +120,7 @@ def test_wrong_shapes(state: polarization.PolarizationState, camera: Camera, cal
 
 
 def test_the_coins_rim_is_refined_though_its_prior_explains_little_there() -> None:
-    """At the rim's step and the beads the cloud's slopes are wrong; the mirror holds elsewhere on the coin."""
+    """At the rim's step and the beads the cloud's slopes are wrong; elsewhere on the coin they support mirror reflection."""
     folder = ROOT / "examples" / "coin"
     result = malus.reconstruct(malus.Station.load(folder / "station.toml"), until="fuse")
     truth = np.asarray(_core.read_raster(str(folder / "truth/depth.tif")), float)
@@ -134,6 +134,6 @@ def test_the_coins_rim_is_refined_though_its_prior_explains_little_there() -> No
         low = ndimage.gaussian_filter(error, 8) / np.maximum(ndimage.gaussian_filter(inside.astype(float), 8), 1e-6)
         return float(np.sqrt(np.mean((error - low)[inside] ** 2)))
 
-    # Measured .19; with what the prior's slopes explain in each place alone .37; the prior's .53.
+    # Measured: .19. With only what the prior's slopes explain at each place: .37. The prior itself: .53.
     assert detail_rms(result.depth) < 0.25 < 0.5 < detail_rms(result.prior_depth)
     assert result.confidence.level == "partial", "what the prior's slopes do not confirm is not certain"

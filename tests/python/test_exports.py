@@ -1,4 +1,4 @@
-"""Exports, each read back by a program that is not ours."""
+"""Exports, each read back by a third-party program or library."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def workspace(finished_grid: Path) -> malus.Workspace:
 
 @pytest.fixture(scope="module")
 def points(workspace: malus.Workspace) -> np.ndarray:
-    """World points of all pixels by the conventions' own formula, H×W×3."""
+    """World points of all pixels by the formula of docs/conventions.md, H×W×3."""
     camera, (rotation, translation) = workspace.camera, workspace.pose
     depth = workspace.raster("fused/depth.tif").astype(float)
     v, u = np.indices(depth.shape)
@@ -39,7 +39,7 @@ def points(workspace: malus.Workspace) -> np.ndarray:
 
 
 def assert_on_surface(vertices: np.ndarray, workspace: malus.Workspace, largest: float, median: float) -> None:
-    """The vertices are no farther from the depth map, along their rays, than this."""
+    """The vertices' depths differ from the depth map by less than `largest`, and by less than `median` in the median."""
     camera, (rotation, translation) = workspace.camera, workspace.pose
     x, y, z = (vertices @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
@@ -55,7 +55,7 @@ def load_scene(path: Path):  # type: ignore[no-untyped-def]
     return next(iter(loaded.geometry.values())) if hasattr(loaded, "geometry") else loaded, loaded
 
 
-def test_glb_of_the_run_is_textured_meters_in_the_world_frame(
+def test_glb_of_the_run_is_textured_and_in_meters_of_the_world_frame(
     finished_grid: Path, workspace: malus.Workspace, points: np.ndarray
 ) -> None:
     mesh, scene = load_scene(finished_grid / "fused/surface.glb")
@@ -66,7 +66,7 @@ def test_glb_of_the_run_is_textured_meters_in_the_world_frame(
     texture = mesh.visual.material.baseColorTexture
     assert texture.size == (200, 160)
     v, u = np.indices((160, 200))
-    # trimesh turns glTF's v about.
+    # trimesh flips glTF's v.
     np.testing.assert_allclose(mesh.visual.uv[:, 0], (u.ravel() + 0.5) / 200, atol=1e-5)
     np.testing.assert_allclose(mesh.visual.uv[:, 1], 1 - (v.ravel() + 0.5) / 160, atol=1e-5)
     colors = np.asarray(mesh.visual.to_color().vertex_colors)[:, :3].astype(float)
@@ -103,12 +103,12 @@ def test_dem_of_the_run_is_a_geotiff_of_the_surface(finished_grid: Path, workspa
     world = frame["ORIGIN"] + np.multiply.outer(x, frame["X_AXIS"]) + np.multiply.outer(y, frame["Y_AXIS"])
     world += np.multiply.outer(elevation[rows, columns].astype(float), frame["Z_AXIS"])
     gsd = workspace.quality["gsd"]
-    # Half a pixel aside would show in the median.
+    # A shift of half a pixel would show in the median.
     assert_on_surface(world, workspace, gsd, 0.02 * gsd)
     assert abs(np.nanmedian(elevation)) < 3
 
 
-def test_dem_made_from_python_is_that_of_the_run(workspace: malus.Workspace, tmp_path: Path) -> None:
+def test_dem_written_from_python_equals_that_of_the_run(workspace: malus.Workspace, tmp_path: Path) -> None:
     dem = exports.Exporter(workspace).dem()
     malus.surface.write_dem(tmp_path / "dem.tif", dem, unit="mm", name="small")
     assert (tmp_path / "dem.tif").read_bytes() == workspace.path("fused/dem.tif").read_bytes()
@@ -151,7 +151,7 @@ def test_cloudcompare_opens_meshes_and_measures_between_them(
     np.testing.assert_allclose(values[:, :3], points.reshape(-1, 3), atol=1e-4)
     distance = values[:, next(i for i, name in enumerate(columns) if "distances" in name)]
     gsd = workspace.quality["gsd"]
-    # A twelfth of the triangles: not the same surface, but near it, except where corners were cut off.
+    # With a twelfth of the triangles the surface is not the same but close, except where corners were cut off.
     assert 0.005 * gsd < np.abs(distance).mean() < 0.3 * gsd
     assert np.percentile(np.abs(distance), 99) < 2 * gsd
 
@@ -172,10 +172,10 @@ def test_meshes_with_fewer_faces_stay_on_the_surface(workspace: malus.Workspace,
 
 
 def sixteen_bits(path: Path) -> np.ndarray:
-    """H×W×3 of a picture of 16 bits, by GDAL."""
+    """H×W×3 of a 16-bit picture, read by GDAL."""
     rasterio = pytest.importorskip("rasterio")
     with warnings.catch_warnings():
-        # That a picture has no place on the Earth is as it should be.
+        # These pictures are rightly not georeferenced.
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         file = rasterio.open(path)
     with file:
@@ -222,7 +222,7 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255
-    # By LASzip, point format 7 as the specification lays it out.
+    # Read by LASzip: point format 7, laid out by its specification.
     laszip = pytest.importorskip("laszip")
     names = "x y z intensity returns flags kind user angle source time red green blue sigma nx ny nz".split()
     forms = "<i4 <i4 <i4 <u2 u1 u1 u1 u1 <i2 <u2 <f8 <u2 <u2 <u2 <f4 <f4 <f4 <f4".split()
@@ -263,7 +263,7 @@ def test_stl_has_every_triangle_with_outward_normals(
     assert (mesh.face_normals @ workspace.pose[0][2] < 0).mean() > 0.999
 
 
-def test_glb_says_what_it_is_and_turns_to_y_up(workspace: malus.Workspace, tmp_path: Path) -> None:
+def test_glb_describes_its_object_and_can_have_y_up(workspace: malus.Workspace, tmp_path: Path) -> None:
     plain, scene = load_scene(malus.export(workspace.folder, "glb", tmp_path / "plain.glb"))
     _, turned = load_scene(malus.export(workspace.folder, "glb", tmp_path / "up.glb", y_up=True))
     x, y, z = np.asarray(scene.bounds).T
@@ -292,7 +292,7 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
 
 
 def of_the_surface(workspace: malus.Workspace) -> list[str]:
-    """What every file has to say of the surface in it."""
+    """The lines about the surface that every exported file must contain."""
     confidence = workspace.quality["confidence"]
     return [
         "unit: mm",
@@ -302,13 +302,13 @@ def of_the_surface(workspace: malus.Workspace) -> list[str]:
     ]
 
 
-def test_how_much_is_the_priors_is_said(workspace: malus.Workspace) -> None:
+def test_share_of_the_prior_in_the_surface_is_stated(workspace: malus.Workspace) -> None:
     for refined, words in ((0.99, "on nearly all"), (0.4, "on 40 % of the object, elsewhere the prior's"), (0.01, "the surface is the prior's")):  # fmt: skip
         assert words in said_of({**workspace.quality, "refinement": {"trusted_share": refined}})["detail"]
 
 
 def test_meshes_of_a_run_say_how_far_to_trust_them(finished_grid: Path) -> None:
-    # What is opened first in another program is the run's own file.
+    # Other programs usually open the run's own files, not an export.
     workspace = malus.Workspace(finished_grid)
     header = (finished_grid / "fused/surface.ply").read_bytes().split(b"end_header", 1)[0].decode()
     comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
@@ -361,7 +361,9 @@ def test_stl_says_its_unit_and_how_far_to_trust_it(workspace: malus.Workspace, t
     )
 
 
-def test_meshes_and_clouds_say_whose_they_are(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+def test_meshes_and_clouds_name_object_and_license(
+    workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
+) -> None:
     told = ["identifier: X 1907.4", "title: Relief & label", "license: CC-BY-4.0", *of_the_surface(workspace)]
     ply = malus.export(workspace.folder, "ply", tmp_path / "a.ply")
     head = ply.read_bytes().split(b"end_header")[0].decode().splitlines()
@@ -377,7 +379,7 @@ def test_meshes_and_clouds_say_whose_they_are(workspace: malus.Workspace, points
     assert set(told) <= set(record.record_data.decode().splitlines())
 
 
-def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -> None:
+def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Path) -> None:
     from xml.etree import ElementTree
 
     from PIL import Image
@@ -392,7 +394,7 @@ def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -
         with Image.open(path) as image:
             image.load()  # which checks every chunk
             packets.append(image.info["XML:com.adobe.xmp"])
-            # A normal map is no color.
+            # A normal map holds no colors: it must have no color profile.
             assert (image.info.get("icc_profile", b"")[36:40] == b"acsp") == (name != "normal map")
     for name in ("dem", "displacement", "normal-map"):
         path = malus.export(workspace.folder, name, tmp_path / f"{name}.tif")
@@ -413,19 +415,19 @@ def test_images_say_whose_they_are(workspace: malus.Workspace, tmp_path: Path) -
 
 
 def dxf_lines_of_gdal(path: Path) -> list[np.ndarray]:
-    """Lines (N×3, or N×2 of a flat one) of a drawing as GDAL reads them."""
+    """Lines of a drawing (N×3, flat ones N×2) as GDAL reads them."""
     pyogrio = pytest.importorskip("pyogrio")
     lines = []
     for geometry in pyogrio.raw.read(path)[2]:
         order, kind, count = struct.unpack_from("<BII", geometry)
-        assert order == 1 and kind in (2, 1002, 0x80000002)  # lines in the plane, and the two codes of those in space
+        assert order == 1 and kind in (2, 1002, 0x80000002)  # lines in the plane, and the two codes of lines in space
         sides = 2 if kind == 2 else 3
         lines.append(np.frombuffer(geometry, "<f8", sides * count, 9).reshape(-1, sides))
     return lines
 
 
 @pytest.mark.parametrize("ending", ["svg", "dxf"])
-def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
+def test_contours_lie_at_their_height(workspace: malus.Workspace, tmp_path: Path, ending: str) -> None:
     dem = exports.Exporter(workspace).dem()
     path = malus.export(workspace.folder, "contours", tmp_path / f"a.{ending}", interval=0.5)
     if ending == "dxf":
@@ -462,7 +464,7 @@ def test_contours_run_at_their_height(workspace: malus.Workspace, tmp_path: Path
             np.testing.assert_allclose(seen - seen[0], line[:, :2] - line[0, :2], atol=2e-3)
 
 
-def test_sections_are_the_profiles(workspace: malus.Workspace, tmp_path: Path) -> None:
+def test_sections_equal_the_profiles(workspace: malus.Workspace, tmp_path: Path) -> None:
     ezdxf = pytest.importorskip("ezdxf")
     path = malus.export(workspace.folder, "sections", tmp_path / "a.dxf")
     document = ezdxf.readfile(path)
@@ -476,7 +478,7 @@ def test_sections_are_the_profiles(workspace: malus.Workspace, tmp_path: Path) -
         np.testing.assert_allclose(read[:, :2], line, atol=1e-9)
 
 
-def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+def test_colmap_can_continue_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     program = shutil.which("colmap")
     if program is None:
         pytest.skip("COLMAP is not installed (apt install colmap)")
@@ -488,7 +490,7 @@ def test_colmap_goes_on_with_the_surface(workspace: malus.Workspace, points: np.
     assert outcome.code == 0, outcome.err
     mesh, _ = load_scene(tmp_path / "fused.ply")
     assert len(mesh.vertices) > 0.99 * points.shape[0] * points.shape[1]
-    # COLMAP's fusion takes the rays of a pixel's corner instead of its center: half a pixel aside.
+    # COLMAP's fusion uses the ray of a pixel's corner instead of its center, which shifts the points by half a pixel.
     camera, (rotation, translation) = workspace.camera, workspace.pose
     x, y, z = (np.asarray(mesh.vertices) @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1) + 0.5
@@ -510,7 +512,7 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     assert info["pixelSizeInMM"] == pytest.approx(workspace.quality["gsd"])
     planes = [np.asarray(Image.open(folder / f"plane_{k}.jpg")) / 255 for k in range(3)]
     scale, bias = (np.reshape(info["materials"][0][name], (3, 3)) for name in ("scale", "bias"))
-    # ShaderRTI.js, PTM and LRGB: weights of light directions times dequantized coefficients.
+    # As in OpenLIME's ShaderRTI.js for PTM and LRGB: weights of light directions times dequantized coefficients.
     u, v = -0.5, 0.4
     weights = np.reshape([1, u, v, u * u, u * v, v * v], (2, 3))
     light = sum(((planes[k] - bias[k]) * scale[k] * weights[k - 1]).sum(-1) for k in (1, 2))
@@ -529,7 +531,7 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
 
 
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients and colors by the text of the PTM 1.2 format."""
+    """Coefficients and colors, read by the specification of PTM 1.2."""
     kind, form, width, height, scales, biases, rest = path.read_bytes().split(b"\n", 6)
     assert (kind, form) == (b"PTM_1.2", b"PTM_FORMAT_LRGB")
     shape = (int(height), int(width))
@@ -549,12 +551,12 @@ def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path)
         u, v, _ = light
         shaded = coefficients @ [u * u, v * v, u * v, u, v, 1] / 256
         expected = np.maximum(normals @ light, 0)
-        # Of a frontal plane a polynomial of second degree is 0.07 too bright in the middle; that is the format's own error.
+        # For a frontal plane, a polynomial of second degree is 0.07 too bright in the middle: an error of the format itself.
         assert np.median(np.abs(shaded - expected)) < 0.08
         assert np.corrcoef(shaded.ravel(), expected.ravel())[0, 1] > 0.97
 
 
-def test_dem_export_is_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
+def test_dem_export_equals_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
     rasterio = pytest.importorskip("rasterio")
     with rasterio.open(path) as exported, rasterio.open(finished_grid / "fused/dem.tif") as made:
@@ -596,10 +598,10 @@ def test_failed_export_leaves_nothing(finished_grid: Path, tmp_path: Path) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-def test_exports_of_an_earlier_surface_are_told_of(
+def test_exports_of_an_earlier_surface_are_reported(
     finished_grid: Path, small_station_source: Path, tmp_path: Path
 ) -> None:
-    """They are the user's and stay; those elsewhere, or removed, are nobody's business."""
+    """Such exports belong to the user and stay. Exports outside of the workspace and removed ones are not reported."""
     work = tmp_path / "work"
     shutil.copytree(finished_grid, work)
     for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply")):
@@ -620,10 +622,10 @@ def test_exports_of_an_earlier_surface_are_told_of(
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again
 
 
-def test_an_export_that_a_run_overtakes_is_not_kept(
+def test_an_export_is_discarded_if_a_run_changes_the_surface_meanwhile(
     finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Depth could be of one surface, and normals of the next."""
+    """Otherwise it could have the depth of one surface and the normals of the next."""
     work = tmp_path / "work"
     shutil.copytree(finished_grid, work)
 

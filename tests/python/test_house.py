@@ -1,4 +1,4 @@
-"""How the source is kept: functions that can be read at a glance, and few headers that others may rely on."""
+"""Rules for the source: short functions, no circular imports, few installed headers, American spelling."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def python_functions(file: Path) -> Iterator[tuple[str, int]]:
 
 
 def cpp_functions(file: Path) -> Iterator[tuple[str, int]]:
-    """Functions and methods, as clang-format lays them out: their last line is a brace below their first."""
+    """Functions and methods as clang-format lays them out: their closing brace is indented like their first line."""
     lines = file.read_text(encoding="utf-8").splitlines()
     for opening, line in enumerate(lines):
         first = opening
@@ -66,8 +66,8 @@ def test_long_functions_are_found(tmp_path: Path) -> None:
 
 
 def python_imports(package: Path) -> dict[str, set[str]]:
-    """Modules of a package and those of it that each imports, wherever in the file; but not what a module takes of the
-    package that it is in."""
+    """Each module of a package with the modules of the package that it imports, anywhere in its file, except the packages
+    that contain it."""
     files = {
         ".".join(file.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__"): file
         for file in package.rglob("*.py")
@@ -91,7 +91,7 @@ def script_imports(folder: Path) -> dict[str, set[str]]:
 
 
 def circles(imports: dict[str, set[str]]) -> list[str]:
-    """What is left when all that imports nothing of the rest is taken away, again and again, from both ends."""
+    """Modules that remain after those that import none of the others, or that none of the others imports, are removed repeatedly."""
     left = dict(imports)
     while True:
         inner = {name for name in left if imports[name] & left.keys() and any(name in imports[other] for other in left)}
@@ -109,7 +109,7 @@ def test_modules_do_not_import_each_other_in_circles() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
 
 
-def test_files_that_begin_first_are_there() -> None:
+def test_files_listed_to_run_first_exist() -> None:
     assert all((ROOT / "tests/python" / name).exists() for name in LONGEST_FIRST)
 
 
@@ -123,7 +123,7 @@ def installed_headers() -> dict[str, Path]:
 
 
 def test_installed_headers_are_few_and_stand_alone() -> None:
-    """Decision 50. A header that is not installed, included by one that is, breaks every other program's build."""
+    """Decision 50. An installed header that includes one that is not installed breaks the build of every program that uses it."""
     installed = installed_headers()
     assert len(installed) <= MOST_INSTALLED_HEADERS
     for name, file in installed.items():
@@ -136,12 +136,12 @@ def test_documents_say_how_many_headers_are_installed() -> None:
     assert f"{len(installed_headers())} headers" in decision
 
 
-#: Spellings that are not American, wherever in a word they stand.
+#: Spellings that are not American, anywhere in a word.
 BRITISH = re.compile(
     "centre|neighbour|catalogue|colour|grey|behaviour|judgement|metre|polaris[ei]|labelled|modelled|favour|cancelled",
     re.I,
 )
-#: Names of others, keys of files that are there, and a key that is wrong on purpose.
+#: Exceptions: names from other projects, keys of existing files, and a key that is wrong on purpose.
 FOREIGN = re.compile(
     r"aria-labelledby|colour-science|COLOURCHECKERS|CancelledError|\"CANCELLED\"|\"millimetre\"|\w*centres?_world"
     r"|world_centre_xy|sphere(?: = \{ |\.)centre|point_judgement"
@@ -151,7 +151,7 @@ OF_COLOUR_SCIENCE = ("python/malus/chart.py", "tests/python/test_chart.py")
 
 
 def words_in(file: Path) -> str:
-    """Text of a file; of C++ its comments and strings."""
+    """Text of a file; for C++ only its comments and strings."""
     text = file.read_text(encoding="utf-8")
     if file.suffix not in (".h", ".cpp"):
         return text
@@ -160,7 +160,7 @@ def words_in(file: Path) -> str:
 
 
 def tracked() -> list[Path]:
-    """Text files of the repository that are its own."""
+    """Text files of the repository without files from other projects."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode != 0:
         pytest.skip("this is no git repository")
@@ -179,7 +179,7 @@ def test_words_are_spelled_the_american_way() -> None:
     assert not found
 
 
-def test_what_an_outsider_runs_names_nothing_outside_of_the_repository() -> None:
+def test_public_files_name_nothing_outside_the_repository() -> None:
     for folder in ("benchmarks", "python", "scripts", "docs", "examples"):
         for file in (file for file in tracked() if file.is_relative_to(ROOT / folder)):
             assert not re.search(r"\bshared/(data|tools)", file.read_text(encoding="utf-8")), file
@@ -188,7 +188,7 @@ def test_what_an_outsider_runs_names_nothing_outside_of_the_repository() -> None
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler")
 @pytest.mark.parametrize("sanitizer", ["address", "thread"])
 def test_programs_under_sanitizers_start(tmp_path: Path, sanitizer: str) -> None:
-    """The loader picks between functions compiled for several processors before ThreadSanitizer is there: that crashed."""
+    """The loader chooses between functions compiled for several processors before ThreadSanitizer has started; that once crashed."""
     source, program = tmp_path / "sum.cpp", tmp_path / "sum"
     source.write_text(
         '#include "malus/core/simd_internal.h"\n'

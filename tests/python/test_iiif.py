@@ -1,4 +1,4 @@
-"""IIIF folders, read back as viewers do: the manifest by a library of others, pictures put together from tiles."""
+"""IIIF folders, read back as viewers do: the manifest by a third-party library, pictures assembled from tiles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from conftest import malus as run_malus
 from malus import exports, iiif
 
 
-def test_tiles_of_every_scale_are_the_picture(tmp_path: Path) -> None:
+def test_tiles_of_every_scale_make_up_the_picture(tmp_path: Path) -> None:
     v, u = np.indices((700, 1300))
     picture = np.stack([u * 255 // 1300, v * 255 // 700, 128 + 0 * u], -1).astype(np.uint8)
     info = iiif.write_tiles(tmp_path, picture, "https://x.org/a")
@@ -23,7 +23,7 @@ def test_tiles_of_every_scale_are_the_picture(tmp_path: Path) -> None:
     for factor in (1, 2, 4):
         width, height = -(-1300 // factor), -(-700 // factor)
         whole = np.zeros((height, width, 3), np.uint8)
-        # The requests of a viewer, by section 4 of the Image API: region in full pixels, size in scaled ones.
+        # The requests of a viewer, by section 4 of the Image API: region in pixels of the full image, size in scaled pixels.
         for y in range(0, 700, 512 * factor):
             for x in range(0, 1300, 512 * factor):
                 w, h = min(512 * factor, 1300 - x), min(512 * factor, 700 - y)
@@ -38,7 +38,7 @@ def test_tiles_of_every_scale_are_the_picture(tmp_path: Path) -> None:
         assert image.size == (1300, 700)
 
 
-def test_manifest_is_read_by_others(finished_grid: Path, tmp_path: Path) -> None:
+def test_manifest_is_readable_by_another_library(finished_grid: Path, tmp_path: Path) -> None:
     prezi = pytest.importorskip("iiif_prezi3")
     told = run_malus(
         "export", finished_grid, "--format", "iiif", "--url", "https://x.org/iiif/s/", "-o", tmp_path / "s"

@@ -64,7 +64,7 @@ def test_table_with_exposures(folder: Path) -> None:
     assert content["exposure_s"] == [0.01, 0.04] * 3
 
 
-def test_file_numbers_are_no_angles(folder: Path) -> None:
+def test_file_numbers_are_not_taken_for_angles(folder: Path) -> None:
     for number in (123, 124, 125, 9, 10):
         image(folder / f"IMG_{number:04d}.png")
     outcome = run_malus("import", folder, "-o", folder / "station.toml")

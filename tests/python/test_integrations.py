@@ -1,4 +1,4 @@
-"""Other programs that take a workspace up, each run if it is installed."""
+"""Integrations into other programs: Blender runs if it is installed, stand-ins take the place of Meshroom and Metashape."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_blender_imports_a_workspace(finished_grid: Path, tmp_path: Path) -> Non
     # The camera sees every vertex where its texture was taken: lens, principal point and pose are those of the station.
     error = (np.array(found["seen"]) - np.array(found["uv"])) * [200, 160]
     assert np.abs(error).max() < 0.05
-    # And they lie in the station's world frame, in meters.
+    # The vertices lie in the station's world frame, in meters.
     camera, (rotation, translation) = workspace.camera, workspace.pose
     x, y, z = (1000 * np.array(found["points"]) @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
@@ -111,13 +111,13 @@ def test_blender_opens_displacement_and_normal_map(finished_grid: Path, tmp_path
     elevation = np.nan_to_num(malus.Workspace(finished_grid).raster("fused/dem.tif"))
     np.testing.assert_array_equal(displacement[..., 0], elevation)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
-    # Blue to the viewer.
+    # Blue points to the viewer.
     assert np.median(normals[..., 2]) > 0.8
 
 
 @pytest.fixture
 def meshroom(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Meshroom is not here: a stand-in takes the descriptor's declarations as they are."""
+    """A stand-in for Meshroom, which is not installed: it keeps the descriptor's declarations unchanged."""
     desc = types.ModuleType("meshroom.core.desc")
     desc.CommandLineNode = object  # type: ignore[attr-defined]
     desc.File = desc.ChoiceParam = lambda **given: types.SimpleNamespace(**given)  # type: ignore[attr-defined]
@@ -130,7 +130,7 @@ def meshroom(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_meshroom_node_runs_in_a_folder_of_meshroom(
     small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meshroom: None
 ) -> None:
-    # As Meshroom's loader does it: packages below a folder of MESHROOM_NODES_PATH, and the modules in them.
+    # Load the node as Meshroom does: packages below a folder of MESHROOM_NODES_PATH, and the modules in them.
     nodes = tmp_path / "nodes"
     package = nodes / "malus_nodes"
     package.mkdir(parents=True)
@@ -157,7 +157,7 @@ def test_meshroom_node_runs_in_a_folder_of_meshroom(
 
 
 class _Chunk:
-    """What the script asks of a chunk of Metashape, of a station whose camera and cloud are known, in meters."""
+    """The part of a Metashape chunk that the script uses, for a station with known camera and cloud, in meters."""
 
     def __init__(self, station: Path) -> None:
         self.point_cloud: object = "is there"
@@ -175,7 +175,7 @@ class _Chunk:
 
 
 def _run_in_metashape(chunk: _Chunk, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the script shows its user."""
+    """Run the script in a stand-in for Metashape; returns the messages that it shows its user."""
     shown: list[str] = []
     metashape = types.ModuleType("Metashape")
     metashape.CamerasFormatXML, metashape.PointCloudFormatPLY, metashape.PointCloudData = "XML", "PLY", 1  # type: ignore[attr-defined]
@@ -194,7 +194,7 @@ def _run_in_metashape(chunk: _Chunk, folder: Path, monkeypatch: pytest.MonkeyPat
 def test_metashape_script_writes_a_station_that_runs(
     small_station: Path, small_station_source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Metashape is not here: a stand-in has a chunk with the station's camera and cloud, and says what the script shows."""
+    """A stand-in for Metashape, which is not installed, has a chunk with the station's camera and cloud."""
     chunk = _Chunk(small_station_source / "station.toml")
     expected = malus.Station.load(small_station).describe()["camera"]
     small_station.unlink()
@@ -209,7 +209,7 @@ def test_metashape_script_writes_a_station_that_runs(
     np.testing.assert_allclose(1000 * np.array(camera["translation"]), expected["translation"], atol=1e-9)
     outcome = run_malus("check", small_station, cwd=small_station.parent)
     assert outcome.code == 0, outcome.err
-    # A second time there is a station file already: the script shows what malus says of it.
+    # On a second run the station file exists already: the script shows the error of malus.
     (shown,) = _run_in_metashape(chunk, small_station.parent / "pol", monkeypatch)
     assert "exists already" in shown
 

@@ -27,6 +27,7 @@ from malus import _core, _patterns
 from malus._files import new_folder, read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
 from malus.batch import _as_text
+from malus.encoding import Encoding, encoding_of
 from malus.errors import ending_of
 from malus.exif import tags_of
 from malus.photogrammetry.photos import describe_photo, list_photos
@@ -382,6 +383,7 @@ def test_tags_of_images_larger_than_pillow_opens(tmp_path: Path) -> None:
     try:
         photo(tmp_path / "a.jpg")
         assert tags_of(tmp_path / "a.jpg")[271] == "Maker"
+        assert encoding_of(tmp_path / "a.jpg") == Encoding(False, "it is a JPEG file of a camera")
     finally:
         Image.MAX_IMAGE_PIXELS = before
 

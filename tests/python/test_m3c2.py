@@ -57,7 +57,7 @@ def test_distance_to_a_moved_copy_is_the_motion(
     page = (work / "report/index.html").read_text()
     assert f'data-path="m3c2.distance_gsd.median">{figures["distance_gsd"]["median"]:.3g}<' in page
     assert (work / "report/figures/m3c2_distance.png").exists()
-    # Another surface: its distances are not those of this one.
+    # A new surface makes the distances of the old one invalid.
     station = malus.Workspace(work).manifest["station"]["file"]
     changed = malus_here("run", station, "-o", work, "--fusion", "grid", "--set", "prior.smoothing_px=4", "--quiet")
     assert changed.code == 0, changed.err

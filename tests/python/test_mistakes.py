@@ -1,4 +1,4 @@
-"""The mistakes that benchmarks/wrong_inputs.py makes are what their names say; its table holds what came of them."""
+"""The mistakes that benchmarks/wrong_inputs.py makes are as their names say, and its table lists their outcomes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def made(name: str, inputs: Any) -> Any:
     return capture.CAPTURE_MISTAKES[name](inputs)
 
 
-def test_images_at_other_angles_are_what_the_sinusoid_gives(inputs: Any) -> None:
+def test_images_at_other_angles_follow_the_sinusoid(inputs: Any) -> None:
     np.testing.assert_allclose(
         made("turned by 20° instead of 30°", inputs).images, intensity(ANGLES * 2 / 3), atol=1e-5
     )
@@ -99,7 +99,7 @@ def test_crops_are_about_the_middle(inputs: Any) -> None:
     np.testing.assert_allclose(larger[30, 45 + 21], inputs.images[0][30, 45 + 20], rtol=0.02)
 
 
-def test_the_pose_aside_looks_at_the_same_place(inputs: Any) -> None:
+def test_the_displaced_pose_looks_at_the_same_place(inputs: Any) -> None:
     aside = made("pose of a photo 8° aside", inputs)
     np.testing.assert_allclose(np.median(aside.in_camera(), 0), np.median(inputs.in_camera(), 0), atol=0.5)
     assert Rotation.from_matrix(aside.rotation @ inputs.rotation.T).magnitude() == pytest.approx(np.radians(8))
@@ -117,13 +117,13 @@ def test_every_mistake_is_written_as_a_station(inputs: Any, tmp_path: Path, name
     assert same == (name == "as it is" or name == "mask too large by 20 px"), "the mask is the whole image here"
 
 
-def test_an_upright_camera_leaves_it_to_exif(inputs: Any, tmp_path: Path) -> None:
+def test_portrait_images_are_rotated_by_exif_only(inputs: Any, tmp_path: Path) -> None:
     path = mistakes.write(made("portrait by EXIF", inputs), tmp_path / "station")
     with Image.open(path.parent / "0.jpg") as image:
         assert image.size == (HEIGHT, WIDTH) and image.getexif()[0x0112] == 6
 
 
-def test_the_table_has_ends_and_figures() -> None:
+def test_the_table_has_outcomes_and_figures() -> None:
     said = {
         "coin": {"mask black": wrong_inputs.Said("exit code 2", ["black"])},
         "bust": {"cloud aside": wrong_inputs.Said("converged, low", ["aside"], dict(rmse=1.0, mad=0.5, normals=2.0))},

@@ -68,7 +68,7 @@ def test_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path, tmp
     assert normals_off_deg(mosaic, six) < 7
     # Carved, painted stone: hardly polarized, and its texture is finer than the cells.
     assert any("texture finer than the mosaic's cells" in text for text in warnings)
-    # What is known of the interpolation's errors survives on disk.
+    # The interpolation's estimated errors survive on disk.
     (tmp_path / "w/fused/depth.tif").unlink()
     again = malus.reconstruct(station, options, workspace=tmp_path / "w", threads=2)
     np.testing.assert_array_equal(again.depth, mosaic.depth)

@@ -47,13 +47,14 @@ from malus.object import (
     unseen_stereo,
 )
 from malus.object import run as object_run
+from malus.object.agreement import joined, without_outliers
 from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
 from malus.object.run import _warnings as object_warnings
 from malus.object.run import find_frame, is_closed
 from malus.object.texture import NearestVertices, _tangents
-from malus.object.views import LEAST_COSINE
+from malus.object.views import LEAST_COSINE, stored
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras
 from malus.reconstruction import expected_times
@@ -84,9 +85,15 @@ def sphere_view(name: str, direction: tuple[float, float, float], offset: float 
     color = light * np.where(points[..., 2:] > 0, 0.6, 0.2)
     return View(
         name=name, gsd=FAR / FOCAL, focal=(FOCAL, FOCAL), center=(63.5, 63.5), rotation=rotation, translation=translation,
-        depth=depth, points=points, normals=normals, sigma=np.full(depth.shape, SIGMA), cosine=cosine,
+        depth=depth, normals=normals, sigma=np.full(depth.shape, SIGMA), cosine=cosine,
         usable=inside & (cosine > LEAST_COSINE), object=rim, color=np.nan_to_num(color),
     )  # fmt: skip
+
+
+def points_of(view: View) -> NDArray[np.float64]:
+    """World points (H×W×3) of all pixels."""
+    rows, columns = np.indices(view.depth.shape)
+    return view.points_at(rows, columns)
 
 
 def stereo(points: NDArray[np.float64], normals: NDArray[np.float64]) -> OrientedPoints:
@@ -112,6 +119,42 @@ def test_stations_that_agree_give_the_surface_and_say_so(views: list[View]) -> N
     assert figures["rms_ratio"] is not None and figures["rms_ratio"] < 0.1
 
 
+def test_portions_and_files_change_nothing(views: list[View], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large stations are read from files and combined in portions; so are clouds of many points."""
+    direction = np.random.default_rng(1).normal(size=(20000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    cloud = stereo(RADIUS * direction, direction)
+
+    def surface(views: list[View]) -> OrientedPoints:
+        points, _ = combine(views[:5], cloud)
+        return without_outliers(joined([points, unseen_stereo(cloud, views[:5], points)]), views[0].gsd)
+
+    whole = surface(views)
+    on_disk = [stored(view, tmp_path / view.name) for view in views]
+    assert isinstance(on_disk[0].depth, np.memmap)
+    monkeypatch.setattr("malus.object.arrays.CHUNK", 1000)
+    parts = surface(on_disk)
+    assert (whole.stations == 0).any()
+    order, other = (np.lexsort(found.points.T) for found in (whole, parts))
+    np.testing.assert_array_equal(parts.points[other], whole.points[order])
+    np.testing.assert_array_equal(parts.sigma[other], whole.sigma[order])
+
+
+def test_views_rule_out_only_what_they_cannot_see(views: list[View]) -> None:
+    """`may_see` is asked of boxes first; where it says no, no point of the box is in the image."""
+    random = np.random.default_rng(3)
+    answers = []
+    for _ in range(500):
+        middle = random.normal(size=3) * random.uniform(0, 4 * FAR)
+        points = middle + random.uniform(0.1, RADIUS) * random.normal(size=(20, 3))
+        for view in views:
+            answers.append((view.may_see(points), bool(view.placed(points)[0].any())))
+    asked, seen = np.array(answers).T
+    assert not (seen & ~asked).any()
+    assert seen.any() and (~asked).mean() > 0.5
+    assert not views[0].may_see(np.empty((0, 3)))
+
+
 def test_stations_that_disagree_meet_in_the_middle_by_their_variances() -> None:
     first, second = sphere_view("a", (1, 0, 0)), sphere_view("b", (1, 0.1, 0), offset=0.1)
     points, agreements = combine([first, second])
@@ -126,8 +169,8 @@ def test_stations_that_disagree_meet_in_the_middle_by_their_variances() -> None:
 def test_what_one_station_sees_flat_is_there_if_stereo_found_it_too() -> None:
     """A rim that one view makes stand off the sphere is not in the cloud."""
     view = sphere_view("a", (1, 0, 0))
-    wrong = view.points[..., 1] > 0
-    beside = replace(view, points=np.where(wrong[..., None], view.points + [0, 3, 0], view.points))
+    wrong = points_of(view)[..., 1] > 0
+    beside = replace(view, depth=np.where(wrong, view.depth - 3, view.depth))
     directions = np.random.default_rng(1).normal(size=(60000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     alone, _ = combine([beside])
@@ -142,7 +185,7 @@ def test_what_one_station_sees_flat_is_there_if_stereo_found_it_too() -> None:
 def test_a_station_that_says_it_is_unsure_of_a_flat_place_counts_as_it_does_elsewhere() -> None:
     """What a station states of its places differs more than their errors do; of two that state the same as a whole it is the mean."""
     first, second = sphere_view("a", (1, 0, 0)), sphere_view("b", (1, 0.1, 0), offset=0.1)
-    unsure = replace(second, sigma=np.where(np.abs(second.points[..., 2]) > 5, 4 * SIGMA, SIGMA))
+    unsure = replace(second, sigma=np.where(np.abs(points_of(second)[..., 2]) > 5, 4 * SIGMA, SIGMA))
     points, _ = combine([first, unsure])
     both = (points.stations == 2) & (np.abs(points.points[:, 2]) > 5.5) & (np.abs(points.points[:, 2]) < 7)
     assert both.sum() > 100
@@ -251,6 +294,21 @@ def test_closed_surface_is_the_open_one_and_a_marked_guess(thin: OrientedPoints,
     assert below.any() and not closed.measured[below].any()
 
 
+def test_parts_far_apart_keep_their_own_seams(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two spheres, 40 000 cells apart along every axis: a monument at the resolution of a close view."""
+    monkeypatch.setattr(implicit, "BLOCK_CELLS", 20)
+    one = joined_mesh(pieces(thin, CELL), tmp_path / "one", 1.0)
+    far = replace(thin, points=thin.points + 40_000 * CELL)
+    both = joined_mesh(pieces(joined([thin, far]), CELL), tmp_path / "both", 1.0)
+    assert is_closed(both.triangles)
+    assert len(both.triangles) == pytest.approx(2 * len(one.triangles), rel=0.01)
+    farther = replace(thin, points=thin.points + 140_000 * CELL)
+    with pytest.raises(DataError, match="spread over 1400"):
+        next(pieces(joined([thin, farther]), CELL))
+
+
 def test_blocks_meet_exactly_and_change_nothing(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,7 +360,7 @@ def test_texture_has_the_color_of_the_place_in_any_light(sphere) -> None:  # typ
 
 
 def test_what_one_station_was_told_to_leave_out_has_the_color_that_others_see(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
-    outside = views[0].points[..., 2] > 4
+    outside = points_of(views[0])[..., 2] > 4
     part = replace(
         views[0], usable=views[0].usable & ~outside, color=np.where(outside[..., None], np.nan, views[0].color)
     )
@@ -313,7 +371,7 @@ def test_what_one_station_was_told_to_leave_out_has_the_color_that_others_see(sp
 
 def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
     """No station sees a belt of ten GSD; it has no specks of the color that stands for what is far from anything seen."""
-    belted = [replace(view, usable=view.usable & (np.abs(view.points[..., 1]) > 1)) for view in views]
+    belted = [replace(view, usable=view.usable & (np.abs(points_of(view)[..., 1]) > 1)) for view in views]
     belt = np.abs(sphere.vertices[:, 1]) < 0.8
     above, below = belt & (sphere.vertices[:, 2] > 2), belt & (sphere.vertices[:, 2] < -2)
     whole, paint = (Paint.of(some, sphere.vertices, sphere.normals) for some in (views, belted))
@@ -796,7 +854,7 @@ def test_warnings_of_finding_the_stations_come_once(
     monkeypatch.setattr("malus.object.run.Workspace", Reported)
     outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
     outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
-    said = object_warnings(outcomes, ["a lens is doubtful"], sphere, Object.load(pair), pair.parent, None)
+    said = object_warnings(outcomes, ["a lens is doubtful"], True, Object.load(pair), pair.parent, None)
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip

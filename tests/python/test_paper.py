@@ -1,4 +1,4 @@
-"""The paper's method as printed against the truth, its plates and tables, presets, scale of a given cloud, height without a prior."""
+"""The paper's method as printed, compared with the truth; its plates and tables; presets; scale of a given cloud; height without a prior."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_preset_is_the_method_as_printed() -> None:
         malus.Options.preset("papers")
 
 
-def test_every_item_of_the_paper_is_left_for_print(paper_work: Path) -> None:
+def test_every_item_of_the_paper_is_written_for_print(paper_work: Path) -> None:
     manifest = json.loads((paper_work / "manifest.json").read_text())
     assert manifest["options"] == malus.Options.preset("paper").to_dict()
     assert manifest["steps"]["fuse"]["notes"]["method"] == "grid"
@@ -70,8 +70,8 @@ def test_every_item_of_the_paper_is_left_for_print(paper_work: Path) -> None:
         assert title in page, title
 
 
-def test_plates_have_the_words_of_the_paper(paper_work: Path) -> None:
-    """Its tables had them, the plates beside them called the same surfaces otherwise."""
+def test_plates_use_the_terms_of_the_paper(paper_work: Path) -> None:
+    """The tables once used these terms while the plates beside them named the same surfaces differently."""
     ours = re.compile(r"prior|fused", re.IGNORECASE)
     named = (paper_work / "paper/captions.md").read_text().split("\n", 1)[1]
     assert not ours.findall(named)
@@ -85,7 +85,7 @@ def test_plates_have_the_words_of_the_paper(paper_work: Path) -> None:
     assert any("fused" in figure.csv() for figure in Plates(malus.Workspace(paper_work)).profiles())
 
 
-def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
+def test_sinusoid_plate_fits_the_measured_intensities(paper_work: Path) -> None:
     with (paper_work / "paper/fig_01c_sinusoids.csv").open() as file:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
     assert len(rows) == 4 * 6
@@ -94,8 +94,8 @@ def test_sinusoid_plate_fits_what_was_measured(paper_work: Path) -> None:
     assert np.all(np.diff([row["degree"] for row in rows[::6]]) > 0), "weakly to strongly polarized"
 
 
-def test_all_curves_of_a_profile_are_in_its_numbers(paper_work: Path) -> None:
-    """Those of the lower panel, too: the detail by which the surfaces differ."""
+def test_all_curves_of_a_profile_are_in_its_csv_file(paper_work: Path) -> None:
+    """Also the curves of the lower panel: the detail in which the surfaces differ."""
     with (paper_work / "paper/fig_12_profile_1.csv").open() as file:
         rows = list(csv.DictReader(file))
     section = np.array([float(row["fusion_mm"] or "nan") for row in rows])
@@ -107,8 +107,8 @@ def test_all_curves_of_a_profile_are_in_its_numbers(paper_work: Path) -> None:
     assert np.abs(np.diff(form, 2)).max() < np.abs(np.diff(section[known], 2)).max(), "what is left is smoother"
 
 
-def test_time_of_the_optimization_and_the_plates_is_expected(small_station: Path) -> None:
-    """It was not: the bar stood at 40 % when all was done."""
+def test_expected_times_include_the_optimization_and_the_plates(small_station: Path) -> None:
+    """They once did not: the progress bar stood at 40 % when everything was done."""
     station, paper = malus.Station.load(small_station), malus.Options.preset("paper")
     together = dict(expected_times(station, paper, threads=1))
     paper.optimize.enabled = False
@@ -154,14 +154,14 @@ def test_curves_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
     assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
 
 
-def test_curves_of_pixels_in_place_of_the_stations(small_station: Path, tmp_path: Path) -> None:
+def test_curves_of_pixels_given_in_python(small_station: Path, tmp_path: Path) -> None:
     station = malus.Station.load(small_station).with_curves_of([(10, 20), (150, 140)])
     malus.reconstruct(station, workspace=tmp_path / "work", until="polarization", threads=2)
     curves = malus.Workspace(tmp_path / "work").manifest["steps"]["polarization"]["notes"]["curves"]
     assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
 
 
-def test_pixels_that_are_none_are_named(small_station: Path, tmp_path: Path) -> None:
+def test_invalid_pixels_are_named(small_station: Path, tmp_path: Path) -> None:
     for words, said in (
         (["10"], "--pixels 10: expected X,Y"),
         (["1,1", "9999,0"], "pixel [9999, 0]: expected pixels within the polarized image of"),
@@ -175,7 +175,7 @@ def test_pixels_that_are_none_are_named(small_station: Path, tmp_path: Path) -> 
         assert outcome.code == 2 and f"{words[0]}: for a station's run" in " ".join(outcome.err.split()), outcome.err
 
 
-def test_tables_are_those_of_quality_json(paper_work: Path) -> None:
+def test_tables_agree_with_quality_json(paper_work: Path) -> None:
     quality = json.loads((paper_work / "quality.json").read_text())
     with (paper_work / "paper/table_2.csv").open() as file:
         (row,) = csv.DictReader(file)
@@ -197,7 +197,7 @@ def test_objects_without_patches_and_profiles_are_in_the_tables(paper_work: Path
 
 
 def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path: Path) -> None:
-    """A catalog number is no figure to round."""
+    """A catalog number must not be rounded like a figure."""
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     workspace = malus.Workspace(work)
@@ -213,7 +213,7 @@ def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path:
 
 
 def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
-    """A highlight of 11 mm made 50 µm a line."""
+    """A spike of 11 mm at a highlight once flattened detail of 50 µm to a line."""
     plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
     profile = dict(plates.quality["profiles"][0])
     spiked = list(profile["fused"])
@@ -230,7 +230,7 @@ def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
 
 
 def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
-    """The numbers of a scale from -1 to 1 ran into each other, and what lies beyond it was not said."""
+    """The numbers of a scale from -1 to 1 once overlapped, and the share beyond the scale was not stated."""
     plates = Plates(malus.Workspace(paper_work), for_print=True)
     fit = {
         "rmse_gsd": 1,
@@ -246,7 +246,7 @@ def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
 
 
 def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) -> None:
-    """Classes of one width for all surfaces put a flat one into a single bar; wide ones must not hide narrow ones either."""
+    """Classes of one width for all surfaces would put a flat surface into a single bar. A wide histogram must not hide a narrow one either."""
     plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
 
     def fit(width: float, classes: int) -> dict[str, object]:
@@ -270,7 +270,7 @@ def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) 
 
 
 def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
-    """Single clamped pixels are not seen in a picture."""
+    """Single clamped pixels cannot be seen in a picture, so their share is written below it."""
     plates = Plates(malus.Workspace(paper_work), for_print=True)
     (figure,) = (figure for figure in plates.polarization() if figure.name == "clamped")
     assert figure.drawing is not None
@@ -291,7 +291,7 @@ def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
     assert missing.code == 2
 
 
-def test_plates_are_the_same_bytes_again(paper_work: Path, tmp_path: Path) -> None:
+def test_plates_are_reproduced_byte_by_byte(paper_work: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     before = (work / "paper/fig_15_patch_1.svg").read_bytes()
@@ -300,7 +300,7 @@ def test_plates_are_the_same_bytes_again(paper_work: Path, tmp_path: Path) -> No
 
 
 def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian mean over what is known."""
+    """Gaussian mean over the finite values."""
     reach = int(4 * sigma)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
 
@@ -317,12 +317,12 @@ def robust(values: np.ndarray) -> float:
     return float(1.4826 * np.nanmedian(np.abs(values)))
 
 
-#: Windows that the stages are tested on, all object: the coin's animal, the bust's face, the glass's facets and rings.
+#: Windows that the stages are tested on, each within the object: the coin's animal, the bust's face, the glass's facets and rings.
 WINDOWS = {"coin": (250, 160, 470, 330), "bust": (300, 150, 430, 330), "glass": (250, 150, 470, 320)}
 
 
 def window_of(example: str, folder: Path) -> Path:
-    """That window as a station of its own (principal point moved along), with its truth."""
+    """The example's window as a station of its own (principal point moved along), with its truth."""
     x0, y0, x1, y1 = WINDOWS[example]
     whole = ROOT / "examples" / example
     for name in ("pol", "truth"):
@@ -345,7 +345,7 @@ def window_of(example: str, folder: Path) -> Path:
 
 
 class Truth:
-    """True depth of that window and what follows from it."""
+    """True depth of a station with its GSD and normals."""
 
     def __init__(self, folder: Path) -> None:
         self.depth = np.asarray(_core.read_raster(str(folder / "truth/depth.tif")), float)
@@ -374,7 +374,7 @@ class Truth:
 
 
 def stages(station: Path, optimize: bool, specular: bool) -> dict[str, float]:
-    """Figures of every stage of the paper's method; `specular`: which reflection the phase is of."""
+    """Figures of every stage of the paper's method; `specular`: the phase is that of specular, not diffuse reflection."""
     options = malus.Options.preset("paper")
     options.optimize.enabled = optimize
     result = malus.reconstruct(malus.Station.load(station), options, until="fuse", threads=2)
@@ -404,7 +404,7 @@ def stages(station: Path, optimize: bool, specular: bool) -> dict[str, float]:
     }
 
 
-#: What was measured of each stage (docs/paper.md): by Eq 16, and the fused surface by all equations together.
+#: Measured figures of each stage (docs/paper.md) by Eq 16; `together_…`: the fused surface by all equations together.
 MEASURED = {
     "coin": {
         "phase_deg": 2.49,  # where the normal is tilted by more than 8°
@@ -431,7 +431,7 @@ MEASURED = {
     "glass": {
         "phase_deg": 1.01,
         "zenith_bias_deg": -2.74,
-        "height_normals_deg": 10.94,  # bent: the overcast sky is no distant light, as Eq 11 takes it
+        "height_normals_deg": 10.94,  # bent: the overcast sky is not the distant light that Eq 11 assumes
         "prior_mad": 0.145,
         "prior_normals_deg": 2.13,
         "fused_mad": 0.1686,
@@ -444,7 +444,7 @@ MEASURED = {
 
 @pytest.mark.parametrize("example", list(WINDOWS))
 def test_every_stage_against_the_truth(example: str, tmp_path: Path) -> None:
-    """Eq 1 to 16 and what comes after them, each within a twentieth of what was measured."""
+    """Eq 1 to 16 and the stages after them, each within a twentieth of its measured figure."""
     station = window_of(example, tmp_path / example)
     by_eq_16, together = (stages(station, optimize, specular=example != "bust") for optimize in (False, True))
     found = by_eq_16 | {f"together_{name}": together[f"fused_{name}"] for name in ("mad", "normals_deg")}
@@ -461,8 +461,8 @@ def test_contact_sheet_shows_every_plate() -> None:
     assert all(np.isclose(count, 480 * 16 * k, rtol=0.05) for k, count in enumerate(levels, 1))
 
 
-def test_names_in_pictures_hide_nothing_of_what_they_name() -> None:
-    """Small patches were half under their names; what stands at the upper border is named beside it."""
+def test_names_in_pictures_do_not_cover_what_they_name() -> None:
+    """Names once covered half of small patches. A place at the upper border has its name beside it."""
     drawing = Drawing(figsize=(6.4, 4.3))
     axes = drawing.add_axes((0, 0, 1, 1))
     axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
@@ -476,7 +476,7 @@ def test_names_in_pictures_hide_nothing_of_what_they_name() -> None:
         assert box.x0 > 0 and box.y1 < drawing.bbox.height, place
 
 
-def test_oblique_view_closes_slopes() -> None:
+def test_oblique_view_leaves_no_holes_in_slopes() -> None:
     relief = np.zeros((40, 30), np.float32)
     relief[10:30, 10:20] = 12
     relief[0, 0] = np.nan
@@ -492,7 +492,7 @@ def test_oblique_view_closes_slopes() -> None:
 
 
 def cloud_scaled(folder: Path, factor: float) -> None:
-    """Scale cloud and camera model of a station as a program that knows no scale would leave them."""
+    """Scale cloud and camera model of a station, as a program that does not know the scale would leave them."""
     path = folder / "dense/cloud.ply"
     content = path.read_bytes()
     end = content.index(b"end_header\n") + len(b"end_header\n")
@@ -514,7 +514,7 @@ def cloud_scaled(folder: Path, factor: float) -> None:
 
 
 def test_scale_of_a_given_cloud(small_station: Path, tmp_path: Path) -> None:
-    """The prior of a cloud in an unknown unit is that of the metric one when a known distance is given."""
+    """With a known distance, a cloud in an unknown unit gives the same prior as the metric cloud."""
 
     def findings(name: str) -> dict[str, tuple[str, str]]:
         outcome = malus_station(small_station, "-o", tmp_path / name, "--until", "evidence")
@@ -563,7 +563,7 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
 
 
 def test_light_of_a_rendered_bust_without_its_prior() -> None:
-    """Both ways to find it, against the light by the true normals: 1.2° was measured, of the outline alone 8.1°."""
+    """Both assumptions, compared with the light from the true normals. Measured: 1.2°; from the outline alone: 8.1°."""
     folder = ROOT / "examples/bust"
     images = [np.array(Image.open(path)).astype(np.float32) / 16383 for path in sorted((folder / "pol").glob("*.png"))]
     mask = np.array(Image.open(folder / "mask.png")) > 0
@@ -584,7 +584,7 @@ def test_light_of_a_rendered_bust_without_its_prior() -> None:
         assert found["of_contour"] == (assumption == "contour")
 
 
-def test_index_that_grid_fusion_does_not_estimate_is_said(small_station: Path, tmp_path: Path) -> None:
+def test_grid_fusion_says_that_it_does_not_estimate_the_index(small_station: Path, tmp_path: Path) -> None:
     with small_station.open("a") as file:
         file.write('\n[optics]\nrefractive_index = "auto"\n')
     outcome = run_malus("fuse", small_station, "-o", tmp_path / "work", "--fusion", "grid")

@@ -1,4 +1,4 @@
-"""What photos take: that they are in memory once, what the stages of a run record, and how many threads find features."""
+"""Memory for photos: a sweep holds each photo once, stages record time and memory, free memory limits the feature search."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ assert found.completeness > 0.9, found.completeness
 print(memory.peak_mb(os.getpid()) - before)
 """
 
-#: A photo has this many pixels for one of the station's, along each side.
+#: Along each side, a photo has this many pixels for each pixel of the station.
 FACTOR = 20
 
 
@@ -54,7 +54,7 @@ def scene() -> tuple[tuple[np.ndarray, malus.Camera], list[tuple[np.ndarray, mal
 
 
 def enlarged(camera: malus.Camera) -> malus.Camera:
-    """The camera of a photo each of whose pixels is repeated."""
+    """The camera of a photo whose pixels are each repeated FACTOR times along both sides."""
     fx, fy, cx, cy = camera.params
     shift = (FACTOR - 1) / 2
     params = [FACTOR * fx, FACTOR * fy, FACTOR * cx + shift, FACTOR * cy + shift]
@@ -74,7 +74,7 @@ def test_a_sweep_holds_photos_once(tmp_path: Path) -> None:
         [sys.executable, "-c", SWEEP, str(tmp_path)], capture_output=True, text=True, cwd=Path(__file__).parent
     )
     assert done.returncode == 0, done.stderr
-    # Beside them one photo in 16 bits a thread while files are read, and a quarter of one while it is halved.
+    # In addition: one photo in 16 bits per thread while files are read, and a quarter of a photo while the photo is halved.
     assert float(done.stdout) < 1.5 * megabytes, f"{done.stdout} MB for photos of {megabytes} MB"
 
 
@@ -92,7 +92,7 @@ time.sleep(0.5)
 """
 
 
-def test_stages_count_what_colmap_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_record_time_and_memory_of_colmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "colmap"
     program.write_text(HUNGRY.format(python=sys.executable))
     program.chmod(0o755)
@@ -116,7 +116,7 @@ def test_stages_count_what_colmap_takes(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(("left_mb", "threads"), [(10_000, 8), (3000, 7), (1500, 3), (500, 1), (100, 1)])
-def test_features_take_the_memory_there_is(
+def test_free_memory_limits_the_threads_of_the_feature_search(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left_mb: float, threads: int
 ) -> None:
     monkeypatch.setattr(memory, "available_mb", lambda: left_mb)
@@ -134,7 +134,7 @@ def test_features_take_the_memory_there_is(
     assert bool(warned) == (left_mb == 100), warned
 
 
-def test_memory_that_is_left_is_within_the_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_memory_is_within_the_limit_of_the_control_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = memory.available_mb()
     assert 10 < free < 1e8
     limit = tmp_path / "memory.max"
@@ -154,7 +154,7 @@ def test_expected_memory_is_that_of_the_largest_stage() -> None:
         return 4 * count * width * (width * 2 // 3) / MB
 
     many, few = work(40, 5196), work(3, 5196)
-    # Windows are matched on pyramids of all photos; of few photos the search for features takes more.
+    # Windows are matched on pyramids of all photos; with few photos the search for features takes more memory than that.
     assert cost.photos_cost(many).memory_mb > 4 / 3 * floats_mb(40, 5196)
     assert cost.photos_cost(few).memory_mb > 2 * bench.sift_mb(few.sizes, 3200) > 4 / 3 * floats_mb(3, 5196)
     assert cost.photos_cost(work(3, 5196, threads=4)).memory_mb > cost.photos_cost(few).memory_mb + 4000

@@ -1,4 +1,4 @@
-"""Stations whose prior is made from photos: what goes wrong is said, what is done is not done again."""
+"""Stations whose prior is made from photos: errors are explained, and finished stages are not repeated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from malus.photogrammetry.photos import Photo, list_photos, to_bytes
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
-#: A program that behaves like `colmap` as far as the environment variable FAKE says, and notes what it was asked.
+#: A stand-in for `colmap` that behaves as the environment variable FAKE says, and logs the commands it is given.
 FAKE = """#!{python}
 import os, sqlite3, sys, time
 command = sys.argv[1]
@@ -155,7 +155,7 @@ def test_excluded_photo_that_is_not_there(photo_station: Path, tmp_path: Path, f
         ("stranger", ("view 3.jpg", "nothing in common")),
     ],
 )
-def test_photos_that_do_not_do(
+def test_unsuitable_photos_are_refused(
     photo_station: Path,
     tmp_path: Path,
     fake_colmap: Path,
@@ -168,13 +168,13 @@ def test_photos_that_do_not_do(
     fails(photo_station, tmp_path / "work", 3, *words)
 
 
-def test_killed_run_goes_on_and_leaves_no_child(
+def test_interrupted_run_can_be_resumed_and_leaves_no_child(
     photo_station: Path, tmp_path: Path, fake_colmap: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE", "hang")
     command = [sys.executable, "-m", "malus.cli", "prior", str(photo_station), "-o", str(tmp_path / "work"), "--quiet"]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    # Generous: a busy machine may take long to start it.
+    # A busy machine may take long to start the run.
     for _ in range(1200):
         if fake_colmap.exists() and "mapper" in fake_colmap.read_text():
             break
@@ -190,12 +190,12 @@ def test_killed_run_goes_on_and_leaves_no_child(
     monkeypatch.setenv("FAKE", "")
     fails(photo_station, tmp_path / "work", 3, "focal length")
     after = fake_colmap.read_text().split()[len(before) :]
-    # No model: matched once more, along epipolar lines, and mapped again. Finished stages are not repeated.
+    # Without a model, photos are matched once more, along epipolar lines, and mapped again. Finished stages are not repeated.
     again = after.index("matches_importer")
     assert set(after[:again]) == set(after[again + 1 :]) == {"mapper"}
 
 
-def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
+def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
     outcome = malus("check", photo_station, cwd=tmp_path)
     assert outcome.code == 0, outcome
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
@@ -203,7 +203,7 @@ def test_check_says_what_would_be_done(photo_station: Path, fake_colmap: Path, t
     assert not fake_colmap.exists()
 
 
-def test_cpp_program_says_who_can(photo_station: Path, tmp_path: Path) -> None:
+def test_cpp_program_refers_to_malus_run(photo_station: Path, tmp_path: Path) -> None:
     outcome = malus_station(photo_station, "-o", tmp_path / "work", "--quiet")
     assert outcome.code == 2
     assert "malus run" in outcome.err
@@ -227,9 +227,9 @@ def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
         raise OSError(28, "No space left on device")
 
 
-def test_what_did_not_change_is_made_once(small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A station without [camera], whose photos say what its camera file and its cloud said: the surface for the second sweep
-    is made from the images as registered, and a second run keeps every step.
+def test_unchanged_steps_are_run_once(small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A station without [camera], whose photos give the camera and the prior that its files gave before: the surface for the
+    second sweep is made from the registered images, and a second run keeps every step.
     """
     _, width, height, params, rotation, translation = (
         _core.ColmapModel.read(str(small_station.parent / "sparse")).images()["station.jpg"][0]
@@ -339,7 +339,7 @@ def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None
         assert runs == ["a"] * count
 
 
-def test_journal_counts_no_stage_whose_photos_were_changed_meanwhile(tmp_path: Path) -> None:
+def test_journal_discards_a_stage_whose_photos_changed_meanwhile(tmp_path: Path) -> None:
     photo = tmp_path / "photo.jpg"
     photo.write_bytes(b"first")
     runs: list[bytes] = []
@@ -364,7 +364,7 @@ def test_journal_counts_no_stage_whose_photos_were_changed_meanwhile(tmp_path: P
     assert runs == [b"first", b"first"], "what was read when the photo changed counts for neither"
 
 
-def test_photos_are_listed_naturally_and_excluded_by_pattern(tmp_path: Path) -> None:
+def test_photos_are_listed_in_natural_order_and_excluded_by_pattern(tmp_path: Path) -> None:
     for name in ("p_10.png", "p_9.png", "sub/p_1.png", "blurred_1.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
@@ -434,7 +434,7 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
 
 
-def test_copies_are_stretched() -> None:
+def test_copies_are_stretched_to_the_full_range() -> None:
     values = np.linspace(0.1, 0.3, 10000, dtype=np.float32).reshape(100, 100)
     values[0, 0] = np.nan
     stretched = to_bytes(values, gamma=1.0)
@@ -509,11 +509,11 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     ],
 )
 def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str) -> None:
-    """The demo station at half size with six of its photos; scale from two points of the demo's own model."""
+    """The demo station with six of its photos; scale from two points of the demo's own model."""
     station, used = demo_with_photos(tmp_path / "station")
     truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
     options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}")
-    # What follows the cameras is the same for both: the second sweep is tested once.
+    # The steps after the cameras are the same for both backends: the second sweep is tested with one of them.
     options += QUICK_WORDS if backend == "colmap" else ("--set", "sweep.again=false")
     options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)

@@ -53,7 +53,7 @@ OTHERS = [
 
 @pytest.fixture(scope="module")
 def finished(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Copy of the finished workspace, times and all, for tests that run on in it."""
+    """Copy of the finished workspace with its file times, for tests that continue in it."""
     work = tmp_path_factory.mktemp("pipeline") / "work"
     shutil.copytree(finished_grid, work)
     return work
@@ -150,7 +150,7 @@ def test_executable_makes_the_same_files(finished: Path, small_station_source: P
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     # The same code on the same machine, but vector code in the libraries may round differently with the arrays' alignment.
-    # A depth's last place, over the width of a pixel, turns the normal made of it by as much as the focal length in pixels.
+    # A relative error of the depth tilts the normal by that error times the focal length in pixels.
     for name in RASTERS:
         ours, theirs = (tifffile.imread(w / name) for w in (work, finished))
         tolerance = 2 * np.finfo(np.float32).eps * pinhole(finished)[0] if name == "fused/normals.tif" else 1e-6
@@ -173,7 +173,7 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
 
 
 @pytest.mark.parametrize("fusion", ["grid", "refined"])
-def test_letting_maps_go_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
+def test_dropping_maps_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
     station = malus.Station.load(small_station_source / "station.toml")
     options = malus.Options(fusion=fusion, refine=QUICK)
     kept = malus.reconstruct(station, options, workspace=tmp_path / "kept", threads=2)
@@ -244,7 +244,7 @@ def files_of(work: Path) -> set[str]:
 
 
 def test_every_command_leaves_what_its_help_says(small_station: Path, tmp_path: Path) -> None:
-    """In one workspace, each with what the ones before it have left."""
+    """All in one workspace, each command on the files that the commands before it have left."""
     work = tmp_path / "work"
     expected = {"manifest.json"}
     for command in ("decompose", "prior", "fuse", "refine", "height", "mesh", "assess"):
@@ -289,7 +289,7 @@ def test_zenith_and_height_can_be_left_out(small_station: Path, tmp_path: Path) 
 
 
 def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
-    """A finished grid run, then another surface in the same place: what was made of the first is gone."""
+    """A finished grid run, then another surface in the same workspace: all files made from the first surface must be gone."""
     station = small_station_source / "station.toml"
     work = shutil.copytree(finished, tmp_path / "work")
     (work / "polarization/color.tif").write_bytes(b"of another program")
@@ -310,7 +310,7 @@ def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source:
     assert run_malus("report", work).code == 0
 
 
-def test_options_in_the_record_are_those_of_the_results(finished: Path, small_station: Path, tmp_path: Path) -> None:
+def test_recorded_options_are_those_of_the_results(finished: Path, small_station: Path, tmp_path: Path) -> None:
     work = shutil.copytree(finished, tmp_path / "work")
     station = finished_station(small_station, work)
     assert run_malus("prior", station, "-o", work, "--set", "grid.grid_px=99", "--quiet").code == 0
@@ -318,7 +318,7 @@ def test_options_in_the_record_are_those_of_the_results(finished: Path, small_st
 
 
 def finished_station(station: Path, work: Path) -> Path:
-    """The same station in another place, which takes the workspace over."""
+    """The same station in another folder, which takes the workspace over."""
     outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--quiet")
     assert outcome.code == 2 and 'belongs to station "small"' in outcome.err and "--replace" in outcome.err
     outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--replace", "--json")
@@ -342,7 +342,7 @@ def test_folders_with_other_files_are_no_workspace(small_station: Path) -> None:
 
 
 def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tmp_path: Path) -> None:
-    """Of a step that warns, quietly: in its record, in quality.json, in the report, and again when it is kept."""
+    """In a quiet run, a step's warning is in its record, in quality.json and in the report; it is repeated when the step is kept."""
     for k, path in enumerate(sorted((small_station.parent / "pol").glob("*.tif"))):
         pixels = tifffile.imread(path)
         if k == 2:  # a window of one image changes: many pixels do not follow the sinusoid
@@ -353,7 +353,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     quiet = run_malus(*command, "--quiet")
     assert quiet.code == 0
     quality = json.loads((work / "quality.json").read_text())
-    # Each at once, without its step's name, and not again at the end.
+    # Each warning is printed at once, without its step's name, and not again at the end.
     assert all(quiet.err.count(f"warning: {warning.split(': ', 1)[1]}") == 1 for warning in quality["warnings"])
     assert quiet.err.index("warning: ") < quiet.err.index("confidence: partial")
     assert quality["confidence"]["level"] == "partial"
@@ -364,8 +364,8 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     assert any(warning.startswith("polarization: ") and text in warning for warning in quality["warnings"])
     assert manifest["warnings"] == quality["warnings"]
     page = (work / "report/index.html").read_text()
-    # What is a reason of the confidence is not said twice.
-    # A reason begins with a capital letter there.
+    # A warning that is a reason for the confidence is not repeated on the page.
+    # A reason begins with a capital letter on the page.
     assert all(markupsafe.escape(warning.split(": ", 1)[1][1:]) in page for warning in quality["warnings"])
     assert all(markupsafe.escape(reason[0].upper() + reason[1:]) in page for reason in quality["confidence"]["reasons"])
     outcome = run_malus(*command)
@@ -375,7 +375,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
 
 
 def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_station: Path, tmp_path: Path) -> None:
-    """Of both programs, quietly or not; what the inputs say counts already."""
+    """In both programs, with and without --quiet; findings about the inputs count already."""
     path = small_station.parent / "pol/pol_060.tif"
     pixels = tifffile.imread(path)
     pixels[20:140, 20:100] //= 2
@@ -435,7 +435,7 @@ def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     assert "picture of image and mask: station-check.png" in checked.out
 
 
-def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> None:
+def test_check_lists_what_a_run_would_do(small_station: Path, tmp_path: Path) -> None:
     outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     plan = json.loads(outcome.out)
@@ -446,7 +446,7 @@ def test_check_says_what_would_be_done(small_station: Path, tmp_path: Path) -> N
     assert plan["confidence"] == {"level": None, "reasons": []}
 
 
-def test_check_says_what_is_known_against_the_result(small_station: Path, tmp_path: Path) -> None:
+def test_check_states_known_doubts_about_the_result(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, 'unit = "mm"', 'unit = "m"')
     outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
@@ -496,7 +496,7 @@ def test_check_leaves_the_picture_of_a_cloud_that_misses_the_object_too(small_st
     assert (tmp_path / "seen.png").exists()
 
 
-def test_check_says_when_memory_will_not_do(small_station: Path, tmp_path: Path) -> None:
+def test_check_warns_of_too_little_memory(small_station: Path, tmp_path: Path) -> None:
     outcome = run_malus("check", small_station, "--json", "--threads", "100000", cwd=tmp_path)
     assert outcome.code == 0, outcome.err
     assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])

@@ -34,7 +34,7 @@ def calibration(station: Path, *options: str) -> tuple[dict[str, Any], Path]:
 
 
 def phase_difference_deg(work: Path, other: Path, least_degree: float = 0.02) -> float:
-    """Median over the pixels with some polarization."""
+    """Median difference over the pixels whose degree is above `least_degree`."""
     phase, reference = (tifffile.imread(w / "polarization/phase.tif").astype(float) for w in (work, other))
     strong = tifffile.imread(other / "polarization/degree.tif") > least_degree
     return float(np.degrees(np.median(((phase - reference + np.pi / 2) % np.pi - np.pi / 2)[strong])))
@@ -48,7 +48,7 @@ def brighten(path: Path, factor: float) -> None:
     Image.fromarray(pixels).save(path)
 
 
-def test_right_angles_are_left_alone(relief: Path) -> None:
+def test_correct_angles_are_not_changed(relief: Path) -> None:
     found, work = calibration(relief)
     assert not found["from_images"]
     assert not found["from_surface"]
@@ -70,7 +70,7 @@ def test_exposure_drift_is_found(relief: Path) -> None:
     expected = np.array(factors) / np.exp(np.mean(np.log(factors)))
     np.testing.assert_allclose(found["gains"], expected, atol=0.002)
     assert found["residual_after"] < 0.5 * found["residual_before"]
-    # Exposures in units of their own mean: the stated errors must be of the size of the real ones.
+    # Exposures are relative to their own mean: the stated errors must be of the size of the real ones.
     assert max(found["gains_sigma"]) < 0.005
 
 
@@ -84,7 +84,7 @@ def test_unknown_angles_are_found(relief: Path) -> None:
     assert abs(phase_difference_deg(work, known)) < 0.3
 
 
-def test_wrong_zero_is_corrected_and_said(relief: Path) -> None:
+def test_wrong_zero_is_corrected_and_reported(relief: Path) -> None:
     edit(relief, ANGLES, ANGLES + "\nangle_zero_deg = 7")
     found, _ = calibration(relief)
     assert found["from_surface"]
@@ -92,7 +92,7 @@ def test_wrong_zero_is_corrected_and_said(relief: Path) -> None:
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
 
 
-def test_exact_angles_are_not_turned_by_a_wide_highlight(tmp_path: Path) -> None:
+def test_correct_angles_are_not_changed_by_a_wide_highlight(tmp_path: Path) -> None:
     station = write_station(tmp_path / "station", 612, 408, prior="depth")
     found, _ = calibration(station)
     assert not found["from_surface"]
@@ -100,7 +100,7 @@ def test_exact_angles_are_not_turned_by_a_wide_highlight(tmp_path: Path) -> None
     assert not found["warnings"]
 
 
-def test_wrong_zero_is_only_said_when_off(relief: Path) -> None:
+def test_wrong_zero_is_only_reported_when_calibration_is_off(relief: Path) -> None:
     edit(relief, ANGLES, ANGLES + "\nangle_zero_deg = 7")
     found, _ = calibration(relief, "--set", "polarizer.calibrate_angles=off")
     assert not found["from_surface"]
@@ -108,7 +108,7 @@ def test_wrong_zero_is_only_said_when_off(relief: Path) -> None:
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
 
 
-def test_scale_read_from_behind_is_an_error(relief: Path) -> None:
+def test_wrong_angle_direction_is_an_error(relief: Path) -> None:
     edit(relief, 'angle_direction = "ccw"', 'angle_direction = "cw"')
     work = relief.parent / "work"
     outcome = malus_station(relief, "-o", work)
@@ -139,7 +139,7 @@ def test_unknown_angles_cannot_be_left_uncalibrated(relief: Path) -> None:
     assert "calibrate_angles" in outcome.err
 
 
-def test_angles_in_another_order_are_said_not_taken(relief: Path) -> None:
+def test_angles_in_another_order_are_reported_but_not_adopted(relief: Path) -> None:
     edit(relief, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
     outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarizer")
     assert outcome.code == 0, outcome.err
@@ -148,7 +148,7 @@ def test_angles_in_another_order_are_said_not_taken(relief: Path) -> None:
     assert not manifest["steps"]["polarizer"]["notes"]["calibration"]["from_images"]
 
 
-def test_many_pixels_off_the_sinusoid_are_said(relief: Path) -> None:
+def test_many_pixels_off_the_sinusoid_are_reported(relief: Path) -> None:
     brighten(relief.parent / "pol/pol_060.png", 0.8)
     options = ("--set", "polarizer.calibrate_angles=off")
     outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarization", *options)

@@ -1,4 +1,4 @@
-"""COLMAP by the package pycolmap: which backend is chosen, what a child that fails says. The real package: test_photos.py."""
+"""COLMAP through the package pycolmap: choice of the backend, errors of its child process. test_photos.py runs the real package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from malus.photogrammetry import database, program, pycolmap_driver
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.program import Colmap, SearchStoppedError, as_colmap_3
 
-#: A package that starts as pycolmap does; `mapper` does what FAKE says.
+#: A stand-in for the package pycolmap; `mapper` does what the environment variable FAKE says.
 FAKE = """
 import os, sys, time
 from types import SimpleNamespace
@@ -68,7 +68,7 @@ def there_is(monkeypatch: pytest.MonkeyPatch, *, colmap: bool, pycolmap: bool) -
         ("pycolmap", True, True, "pycolmap"),
     ],
 )
-def test_backend_that_is_chosen(
+def test_choice_of_the_backend(
     monkeypatch: pytest.MonkeyPatch, backend: str, colmap: bool, pycolmap: bool, expected: str
 ) -> None:
     there_is(monkeypatch, colmap=colmap, pycolmap=pycolmap)
@@ -80,7 +80,7 @@ def test_backend_that_is_chosen(
 @pytest.mark.parametrize(
     ("backend", "colmap", "pycolmap"), [("auto", False, False), ("colmap", False, True), ("pycolmap", True, False)]
 )
-def test_backend_that_is_missing_and_both_remedies(
+def test_missing_backend_is_reported_with_both_remedies(
     monkeypatch: pytest.MonkeyPatch, backend: str, colmap: bool, pycolmap: bool
 ) -> None:
     there_is(monkeypatch, colmap=colmap, pycolmap=pycolmap)
@@ -90,20 +90,20 @@ def test_backend_that_is_missing_and_both_remedies(
     assert "pip install 'malus[pycolmap]'" in str(failure.value)
 
 
-def test_program_that_is_named_is_not_replaced(fake_package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_named_by_the_environment_is_not_replaced(fake_package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MALUS_COLMAP", "colmap-that-is-not-there")
     with pytest.raises(package.ExternalError, match="colmap-that-is-not-there"):
         Colmap(1)
     assert Colmap(1, "pycolmap").title == "COLMAP 4.2.1 (pycolmap)"
 
 
-def test_option_is_checked() -> None:
+def test_backend_option_is_checked() -> None:
     assert package.Options().photos.backend == "auto"
     with pytest.raises(package.InputError, match="pycolmap"):
         package.Options(photos={"backend": "metashape"})
 
 
-def test_package_that_is_old_or_broken(fake_package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_old_or_broken_package_is_reported(fake_package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_VERSION", "3.13.0")
     with pytest.raises(package.ExternalError, match=r"3\.13\.0, expected 4\.2 or later"):
         Colmap(1, "pycolmap")
@@ -122,7 +122,7 @@ def map_images(folder: Path, **watching: object) -> None:
     ("mode", "words"),
     [("raise", "exit code 1: ValueError: .* no such thing"), ("abort", "signal 6: .*something inside")],
 )
-def test_child_that_fails_says_why(
+def test_failure_of_the_child_process_is_explained(
     fake_package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str, words: str
 ) -> None:
     monkeypatch.setenv("FAKE", mode)
@@ -131,7 +131,7 @@ def test_child_that_fails_says_why(
     assert words.split("*")[-1] in (tmp_path / "mapper.log").read_text()
 
 
-def test_child_ends_when_the_search_is_given_up(
+def test_child_process_ends_when_the_search_is_stopped(
     fake_package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE", "hang")
@@ -146,7 +146,7 @@ def test_child_ends_when_the_search_is_given_up(
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed")
-def test_real_package_says_what_is_wrong(tmp_path: Path) -> None:
+def test_errors_of_the_real_package_are_explained(tmp_path: Path) -> None:
     colmap = Colmap(1, "pycolmap")
     paths = {"input_path": tmp_path / "none", "output_path": tmp_path}
     with pytest.raises(package.ExternalError, match=r"bundle_adjuster failed .*do not exist"):
@@ -155,7 +155,7 @@ def test_real_package_says_what_is_wrong(tmp_path: Path) -> None:
         colmap.run("bundle_adjuster", {**paths, "BundleAdjustment.refine_everything": 1}, tmp_path / "log")
 
 
-def test_progress_of_colmap_4_is_read_as_that_of_3() -> None:
+def test_progress_of_colmap_4_is_translated_to_that_of_3() -> None:
     assert as_colmap_3("I2026 x.cc:9] Processing block [3/7]").endswith("Matching block [3/7]")
     assert as_colmap_3("I2026 x.cc:6] Registering image #5 (num_reg_frames=2)").endswith("image #5 (3)")
     assert as_colmap_3("Registering image #5 (3)") == "Registering image #5 (3)"
@@ -175,7 +175,7 @@ def test_driver_knows_its_options_and_refuses_others(capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_object_on_a_board_keeps_its_matches_without_a_calibration(calibrated: bool) -> None:
-    """4.x keeps only the board's, those of a homography, unless told otherwise."""
+    """COLMAP 4.x by default keeps only the board's matches, those of a homography."""
     cameras = [SimpleNamespace(has_prior_focal_length=True), SimpleNamespace(has_prior_focal_length=calibrated)]
     given: list[SimpleNamespace] = []
     base = contextlib.nullcontext(SimpleNamespace(read_all_cameras=lambda: cameras))
@@ -193,8 +193,8 @@ def test_object_on_a_board_keeps_its_matches_without_a_calibration(calibrated: b
     assert given[0].max_H_inlier_ratio == (0.8 if calibrated else 1.0)
 
 
-def test_copy_of_a_database_has_nothing_of_the_one_before(tmp_path: Path) -> None:
-    """COLMAP 4 keeps a write-ahead log, which stays behind when it is killed."""
+def test_copy_of_a_database_leaves_no_files_of_the_old_one(tmp_path: Path) -> None:
+    """COLMAP 4 keeps a write-ahead log, which stays behind when COLMAP is killed."""
     source, target = tmp_path / "a.db", tmp_path / "b.db"
     writer = sqlite3.connect(source)
     writer.execute("PRAGMA journal_mode=WAL")

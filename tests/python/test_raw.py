@@ -1,4 +1,4 @@
-"""RAW files and what image files say of their exposure."""
+"""RAW files, and the exposure settings in image files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def scene(angle_deg: float) -> np.ndarray:
 
 @pytest.fixture
 def station(tmp_path: Path) -> Path:
-    """Four DNG files of one polarization, 0.2 at 30°."""
+    """Four DNG files of uniform polarization: degree 0.2, phase 30°."""
     for angle in ANGLES:
         write_dng(tmp_path / f"pol_{angle:03d}.dng", scene(angle))
     path = tmp_path / "station.toml"
@@ -77,7 +77,7 @@ def test_raw_files_are_linear(station: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(result.unpolarized[inside], (0.2 + 0.004 * u + 0.003 * v)[inside], atol=1e-3)
 
 
-def test_development_is_kept_by_content(station: Path, tmp_path: Path) -> None:
+def test_images_are_developed_again_only_if_their_content_changed(station: Path, tmp_path: Path) -> None:
     pytest.importorskip("rawpy")
     work = tmp_path / "work"
 
@@ -93,7 +93,7 @@ def test_development_is_kept_by_content(station: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["flipped", "emptied"])
-def test_what_was_developed_is_not_taken_when_it_was_changed(station: Path, tmp_path: Path, damage: str) -> None:
+def test_damaged_developed_images_are_developed_again(station: Path, tmp_path: Path, damage: str) -> None:
     pytest.importorskip("rawpy")
     images = [tmp_path / f"pol_{angle:03d}.dng" for angle in ANGLES]
     for _ in range(2):
@@ -156,7 +156,7 @@ def test_noise_comes_from_the_file(station: Path, tmp_path: Path) -> None:
     assert noise["read_noise_e"] == pytest.approx(6, rel=1e-6)
 
 
-def test_one_plane(station: Path, tmp_path: Path) -> None:
+def test_a_chosen_channel_gives_one_plane(station: Path, tmp_path: Path) -> None:
     pytest.importorskip("rawpy")
     station.write_text(station.read_text() + 'channel = "green"\n')
     malus.reconstruct(malus.Station.load(station), workspace=tmp_path / "work", until="zenith")
@@ -164,14 +164,14 @@ def test_one_plane(station: Path, tmp_path: Path) -> None:
         assert tifffile.imread(path).shape == SIZE
 
 
-def test_executable_says_who_develops(station: Path, tmp_path: Path) -> None:
+def test_executable_says_what_develops_raw_files(station: Path, tmp_path: Path) -> None:
     outcome = malus_station(station, "-o", tmp_path / "work", "--until", "zenith")
     assert outcome.code == 2
     assert "pol_000.dng is a camera's RAW file" in outcome.err
     assert "malus[raw]" in outcome.err
 
 
-def test_levels_are_not_given_for_raw(station: Path) -> None:
+def test_levels_are_refused_for_raw_files(station: Path) -> None:
     station.write_text(station.read_text() + "white_level = 16383\n")
     with pytest.raises(malus.InputError, match="white_level: is not for RAW files"):
         malus.Station.load(station)

@@ -1,4 +1,4 @@
-"""A reference that lies anywhere is brought onto a surface, and what does not belong there is refused."""
+"""A reference in any pose is registered onto a surface; a reference that does not match is refused."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_reference_turned_by_90_degrees_and_moved_by_its_size_is_found(axis: t
     noisy = surface + np.random.default_rng(5).normal(0, 0.02, surface.shape)
     found = place_reference(noisy, CAMERA, moved)
     back = moved @ found.rotation.T + found.translation
-    # Cells of the last search are 0.5 wide; what follows in the comparison (ICP) makes it exact.
+    # The cells of the last search are 0.5 wide; ICP, which follows in the comparison, makes the pose exact.
     assert np.sqrt(((back - scan) ** 2).sum(1).mean()) < 0.25
     assert found.correlation > 0.98 and np.linalg.det(found.rotation) == pytest.approx(1)
 
@@ -62,7 +62,7 @@ def test_another_object_is_refused() -> None:
         place_reference(relief(1), CAMERA, relief(3, 150))
 
 
-def test_a_shape_that_does_not_tell_turns_apart_is_refused() -> None:
+def test_a_rotationally_symmetric_shape_is_refused() -> None:
     x, y = np.meshgrid(np.linspace(-1, 1, 120), np.linspace(-1, 1, 120))
     cap = np.stack([x, y, np.sqrt(4 - x**2 - y**2)], -1).reshape(-1, 3)[(x**2 + y**2 < 1).ravel()]
     with pytest.raises(malus.DataError, match="does not tell turns apart"):
@@ -80,7 +80,7 @@ def test_arrays_of_a_wrong_shape_are_named() -> None:
 
 
 def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Path) -> None:
-    """The fused surface itself, turned and moved away, comes back to where it was."""
+    """The fused surface itself, rotated and moved away, is brought back to its place."""
     work = tmp_path / "work"
     assert run_malus("fuse", small_station, "-o", work, *QUICK_WORDS, "--threads", "2", "--quiet").code == 0
     points = malus.Workspace(work).points().reshape(-1, 3)
@@ -98,10 +98,10 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert alone.code == 2 and "--register needs a reference" in alone.err
 
 
-def test_a_surface_is_thinned_by_the_points_that_it_has(
+def test_thinning_counts_only_points_that_the_surface_has(
     finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nine tenths of the surface are missing; as many points are compared as of a whole one."""
+    """Nine tenths of the surface are missing, but as many points are compared as for a whole surface."""
     points = malus.Workspace(finished_grid).points()
     holes = np.where(np.random.default_rng(1).random(points.shape[:2]) < 0.9, np.nan, 1.0)
     monkeypatch.setattr(malus.Workspace, "points", lambda _: points * holes[..., None])

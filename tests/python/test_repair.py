@@ -15,7 +15,7 @@ from malus.camera import Camera
 
 @pytest.fixture
 def plane() -> tuple[FusedSurface, np.ndarray]:
-    """An inclined plane with a hole inside, and one that reaches the image's border; and its depth without them."""
+    """An inclined plane with a hole inside and a hole at the image's border, and its depth without the holes."""
     camera = Camera("PINHOLE", 60, 40, [500, 500, 29.5, 19.5])
     v, u = np.indices((40, 60))
     truth = 1 / (0.002 + 1e-6 * (u - 30) - 2e-6 * (v - 20))
@@ -28,7 +28,7 @@ def plane() -> tuple[FusedSurface, np.ndarray]:
     return FusedSurface(depth, normals, sigma, camera), truth
 
 
-def test_holes_are_closed_as_their_surroundings_are(plane: tuple[FusedSurface, np.ndarray]) -> None:
+def test_filled_holes_continue_their_surroundings(plane: tuple[FusedSurface, np.ndarray]) -> None:
     pytest.importorskip("scipy")
     surface, truth = plane
     closed, holes = repair.filled(surface)

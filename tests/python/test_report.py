@@ -1,4 +1,4 @@
-"""The report: every number is quality.json's, nothing comes from the network, the interactive data are what the rasters say."""
+"""The report: every number is from quality.json, nothing comes from the network, the interactive views show the rasters' data."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from view_scale import drawn_mm, pixel_mm, turning_view
 
 
 class Page(HTMLParser):
-    """What the tests ask of the page: its data elements, addresses, ids, images without a description, JSON blocks."""
+    """The parts of the page that the tests check: its data elements, addresses, ids, images without a description, JSON blocks."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -98,13 +98,13 @@ def test_every_number_is_that_of_quality_json(work: Path, page: Page) -> None:
             assert (exact, text) == ("", "–"), path
             continue
         assert float(exact) == value, path
-        # What is read is the value, or a hundred times it as per cent, rounded to its last digit.
+        # The text is the value, or a hundred times the value as per cent, rounded to its last digit.
         read = float(text.replace(MINUS, "-"))
         half = 0.5000001 * 10.0 ** -len(text.partition(".")[2])
         assert any(abs(read - v) <= half for v in (value, 100 * value)), path
 
 
-def test_numbers_below_each_other_have_as_many_decimals() -> None:
+def test_numbers_of_a_column_have_equally_many_decimals() -> None:
     places = decimals([0.0441, 1.828, None])
     assert [aligned(value, places) for value in (0.0441, 1.828, None)] == ["0.044", "1.828", "–"]
     assert [aligned(value, decimals([8520, 12])) for value in (8520, 12)] == ["8520", "12"]
@@ -113,7 +113,7 @@ def test_numbers_below_each_other_have_as_many_decimals() -> None:
     assert decimals([]) == decimals([0.0, float("nan")]) == 0
 
 
-def test_no_number_is_read_with_an_exponent() -> None:
+def test_no_number_is_written_with_an_exponent() -> None:
     assert [_number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None)] == [
         "150", "100", f"{MINUS}0.067", "12345", "yes", "–",
     ]  # fmt: skip
@@ -126,7 +126,7 @@ def classes_by_row(text: str, heading: str) -> list[list[tuple[str, str]]]:
     return [row for row in rows if row]
 
 
-def test_numbers_of_the_profiles_stand_right_and_empty_columns_are_left_out(work: Path) -> None:
+def test_profile_numbers_are_right_aligned_and_empty_columns_left_out(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     rows = classes_by_row(text, "Each surface on each profile")
     assert [row[1][1] for row in rows] == ["prior", "polarization", "fused"]
@@ -137,7 +137,7 @@ def test_numbers_of_the_profiles_stand_right_and_empty_columns_are_left_out(work
         assert len({len(row[column][1].partition(".")[2]) for row in rows}) == 1, column
 
 
-def test_words_of_solvers_stand_among_the_parameters_only(work: Path) -> None:
+def test_solver_terms_appear_only_among_the_parameters(work: Path) -> None:
     told, provenance = (work / "report/index.html").read_text().split('<section id="provenance"')
     assert "converged" in provenance and "converged" not in told
     assert "The light stands" in told
@@ -185,7 +185,7 @@ def test_figures_lie_beside_the_page_with_their_numbers(work: Path) -> None:
     assert float(row["p50"]) == pytest.approx(np.nanmedian(degree), rel=1e-6)
 
 
-def test_first_come_photograph_confidence_size_accuracy_and_gain(work: Path) -> None:
+def test_report_begins_with_photograph_confidence_size_accuracy_and_gain(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     places = [
         text.index(part)
@@ -204,7 +204,7 @@ def test_first_come_photograph_confidence_size_accuracy_and_gain(work: Path) -> 
     assert f"<dt>Accuracy</dt><dd>{accuracy} " in text and accuracy.endswith(" µm")
 
 
-def test_nothing_is_gained_where_the_surface_is_the_priors(work: Path) -> None:
+def test_no_gain_is_claimed_where_the_surface_is_the_priors(work: Path) -> None:
     quality = json.loads((work / "quality.json").read_text())
     assert gains_of(quality, "mm")
     kept = quality | {"refinement": {"trusted_share": 0.01}, "confidence": {"level": "partial", "reasons": []}}
@@ -221,12 +221,12 @@ def test_nothing_is_gained_where_the_surface_is_the_priors(work: Path) -> None:
         ((0.02, 0.01), "in", "508 × 254 µm"),
     ],
 )
-def test_sizes_as_people_say_them(size: tuple[float, float], unit: str, said: str) -> None:
+def test_sizes_are_rounded_for_reading(size: tuple[float, float], unit: str, said: str) -> None:
     assert lengths.sides(size, unit) == said
 
 
 def figures_of(level: str, **other: object) -> dict[str, object]:
-    """What the head reads of quality.json, of a run that ended so."""
+    """The part of quality.json that the report's head reads, for a run with this confidence."""
     patch = {"name": "1", "prior": {"rmse": 0.2}, "fused": {"rmse": 0.05}}
     return {
         "unit": "mm", "gsd": 0.1, "sigma": {"median_gsd": 0.6, "p95_gsd": 2.0}, "patches": [patch], "prior_vs_fused": None,
@@ -234,14 +234,14 @@ def figures_of(level: str, **other: object) -> dict[str, object]:
     }  # fmt: skip
 
 
-def test_what_was_computed_is_no_accuracy_where_something_speaks_against_it() -> None:
+def test_accuracy_is_qualified_where_confidence_is_low() -> None:
     assert accuracy_of(figures_of("high"), 0.1)[0] == "60 µm"
     said, note = accuracy_of(figures_of("low"), 0.1)
     assert said == "at best 60 µm" and "in doubt" in note
     assert accuracy_of(figures_of("partial", sigma=None), 0.1)[0] == "not known"
 
 
-def test_a_change_is_no_gain_where_something_speaks_against_it() -> None:
+def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
     rougher = {"name": "2", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.2}}
     as_before = {"name": "3", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.05}}
     assert "was gained" in gains_title(figures_of("partial"))
@@ -255,7 +255,7 @@ def test_a_change_is_no_gain_where_something_speaks_against_it() -> None:
     assert "4 times rougher" in gains_of(figures_of("high", patches=[rougher]), "mm")[0]
 
 
-def test_two_finishes_are_told_in_a_sentence() -> None:
+def test_two_finishes_are_described_in_a_sentence() -> None:
     def told(usual: float, other: float, share: float) -> str:
         found = {"roughness": usual, "other_roughness": other, "other_finish_share": share}
         return finishes_of(figures_of("high", refinement={"surroundings": found}))
@@ -267,7 +267,7 @@ def test_two_finishes_are_told_in_a_sentence() -> None:
         assert finishes_of(figures_of("high", **one)) == ""
 
 
-def test_the_report_says_what_was_found_of_finishes(
+def test_the_report_contains_the_sentence_about_finishes(
     work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(work, tmp_path / "work")
@@ -277,7 +277,7 @@ def test_the_report_says_what_was_found_of_finishes(
     assert "<p>It has two finishes.</p>" in text.split("<h3>In numbers</h3>")[0]
 
 
-def test_what_the_coarse_surface_does_not_cover_is_not_called_measured() -> None:
+def test_areas_without_a_coarse_surface_are_not_called_measured() -> None:
     assert covered_of(figures_of("high")) == "of the object's pixels have a surface"
     assert "on 40 % the coarse one has no data" in covered_of(figures_of("partial", prior={"filled_fraction": 0.4}))
 
@@ -293,12 +293,12 @@ def test_what_the_coarse_surface_does_not_cover_is_not_called_measured() -> None
         ("low", 0.95, "Do not rely on this surface"),
     ],
 )
-def test_what_can_be_trusted_is_said_in_a_sentence(level: str, refined: float | None, said: str) -> None:
+def test_what_can_be_trusted_is_stated_in_a_sentence(level: str, refined: float | None, said: str) -> None:
     quality = figures_of(level, refinement={"trusted_share": refined})
     assert said in what_to_trust(quality)
 
 
-def test_alternative_texts_say_what_is_seen(work: Path) -> None:
+def test_alternative_texts_describe_the_pictures(work: Path) -> None:
     alternatives = re.findall(r'<img [^>]*alt="([^"]*)"', (work / "report/index.html").read_text())
     assert all(len(text.split()) >= 5 for text in alternatives), alternatives
     assert len(set(alternatives)) == len(alternatives)
@@ -317,7 +317,7 @@ def test_alternative_texts_say_what_is_seen(work: Path) -> None:
         (3.2, "m", "3.2 m"),
     ],
 )
-def test_lengths_as_people_say_them(length: float, unit: str, said: str) -> None:
+def test_lengths_are_rounded_for_reading(length: float, unit: str, said: str) -> None:
     assert lengths.shown(length, unit) == said
 
 
@@ -340,7 +340,7 @@ def test_scale_of_a_section_leaves_out_single_spikes() -> None:
     assert figures._without_spikes([]) is None
 
 
-def test_detail_of_a_section_is_free_of_its_form() -> None:
+def test_detail_of_a_section_excludes_its_form() -> None:
     along = np.arange(200.0)
     wave = np.sin(along / 2)
     section = 0.3 * along - 40 + wave
@@ -379,7 +379,7 @@ def test_mesh_data_are_the_depth_map(work: Path, page: Page) -> None:
     np.testing.assert_allclose(positions[2].max() - positions[2], nearest - depth.min(), atol=2e-3)
 
 
-def test_reduced_means_leave_out_what_is_missing() -> None:
+def test_reduced_rasters_average_only_valid_pixels() -> None:
     raster = np.array([[1, 3, 10], [np.nan, 5, np.nan]], np.float32)
     np.testing.assert_allclose(figures.reduced(raster, 2), [[3, 10]])
     assert np.isnan(figures.reduced(np.full((2, 2), np.nan, np.float32), 2)).all()
@@ -398,7 +398,7 @@ def test_hillshade_is_linear_in_the_cosine_to_the_light(slope: float, azimuth: f
     assert np.isnan(shade[3, 4])
 
 
-def test_large_stations_are_averaged_down(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
+def test_large_stations_are_downsampled(monkeypatch: pytest.MonkeyPatch, work: Path) -> None:
     monkeypatch.setattr(viewer, "NORMALS_SIDE_PX", 64)
     monkeypatch.setattr(viewer, "MESH_TRIANGLES", 2000)
     workspace = malus.Workspace(work)
@@ -467,15 +467,15 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
     assert shown["control.datum.points.0.offset.1"] == "−0.20" and shown["control.image.points.0.du_px"] == "1.5"
-    assert shown["control.datum.check_rms"] == "0.35" and "held out to" not in text
+    assert shown["control.datum.check_rms"] == "0.35" and "the check points to" not in text
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
-    assert "without point P&lt;1&gt;" in text and "check the camera's place" in text
+    assert "without point P&lt;1&gt;" in text and "check the camera's pose" in text
     assert "known to 0.032 % (standard deviation)" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 
 @pytest.mark.usefixtures("edited")
-def test_a_zero_that_is_not_known_is_not_shown_as_a_number(finished_grid: Path, tmp_path: Path) -> None:
+def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(finished_grid: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     shutil.copytree(finished_grid, work)
     quality = json.loads((work / "quality.json").read_text())
@@ -483,10 +483,10 @@ def test_a_zero_that_is_not_known_is_not_shown_as_a_number(finished_grid: Path, 
     (work / "quality.json").write_text(json.dumps(quality))
     malus.write_report(work)
     text = (work / "report/index.html").read_text()
-    assert "is right could not be told: nothing to see." in text and "–°" not in text
+    assert "is right could not be checked: nothing to see." in text and "–°" not in text
 
 
-def test_letters_of_charts_end_within_them(work: Path) -> None:
+def test_text_of_charts_is_not_cut_off(work: Path) -> None:
     chart = np.asarray(Image.open(work / "report/figures/sinusoids.png").convert("L"))
     assert chart[:, -2:].min() > 200 and chart[:2].min() > 200
 
@@ -506,7 +506,7 @@ def test_a_step_that_does_not_exist_is_not_recorded(tmp_path: Path) -> None:
 
 
 def test_a_page_whose_surface_changed_meanwhile_is_not_kept(work: Path, tmp_path: Path) -> None:
-    """Another run goes between reading the surface and recording the page."""
+    """Another run changes the surface between reading it and recording the page."""
     folder = shutil.copytree(work, tmp_path / "work")
     workspace = malus.Workspace(folder)
     with (
@@ -536,7 +536,7 @@ def _luminance(color: str) -> float:
     return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
 
 
-def test_letters_stand_out_from_every_ground() -> None:
+def test_text_contrasts_with_every_background() -> None:
     """Contrast of 4.5 (WCAG 2 AA) on light and dark pages."""
     themes = re.findall(r":root \{(.*?)\}", pages.asset("report.css"), re.DOTALL)[:2]
     for theme in themes:
@@ -547,8 +547,8 @@ def test_letters_stand_out_from_every_ground() -> None:
                 assert (high + 0.05) / (low + 0.05) >= 4.5, (letters, ground)
 
 
-def test_scale_bars_measure_their_pictures(work: Path) -> None:
-    """On a low screen, on paper, and where the map of trust stands beside many reasons."""
+def test_scale_bars_fit_the_scale_of_their_pictures(work: Path) -> None:
+    """On a low screen, on paper, and where the trust map stands beside many reasons."""
     playwright = pytest.importorskip("playwright.sync_api")
     chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
@@ -582,7 +582,7 @@ def test_the_scale_of_the_turning_view_follows_zoom(work: Path) -> None:
     with turning_view(work / "report/index.html", "mesh") as view:
         home = pixel_mm(view)
         across, down = drawn_mm(view)
-        # Turned by 18 degrees to the side and some up.
+        # The view is turned by 18 degrees to the side and somewhat upwards.
         assert across == pytest.approx(0.94 * width + 0.3 * depth, rel=0.1)
         assert down == pytest.approx(0.98 * height + 0.2 * depth, rel=0.15)
         view.get_by_role("button", name="Zoom out").click()

@@ -1,4 +1,4 @@
-"""What malus.reconstruct returns, in memory and from a workspace; cameras and units of what it takes."""
+"""Results of malus.reconstruct, in memory and from a workspace; cameras and units of its inputs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def result(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.nda
     return malus.reconstruct(station, malus.Options(refine=QUICK))
 
 
-def test_result_says_what_it_is(result: malus.Result, scene: synthetic.Scene) -> None:
+def test_result_describes_itself(result: malus.Result, scene: synthetic.Scene) -> None:
     camera = result.camera
     assert camera is not None and result.quality is not None and result.confidence is not None
     assert (camera.width, camera.height) == scene.depth.shape[::-1]
@@ -88,7 +88,7 @@ def test_part_of_a_run(scene: synthetic.Scene, sensor: synthetic.Sensor, images:
     assert "<img" not in part._repr_html_()
 
 
-def test_distorted_camera_is_no_camera_of_maps(scene: synthetic.Scene) -> None:
+def test_distorted_cameras_are_refused_for_maps(scene: synthetic.Scene) -> None:
     lens = malus.Camera("OPENCV", scene.camera.width, scene.camera.height, [*scene.camera.params, 0.01, 0, 0, 0])
     with pytest.raises(malus.InputError, match=r"OPENCV.*undistorted\(\)"):
         malus.surface.normals_from_depth(scene.depth, lens)
@@ -99,14 +99,14 @@ def test_distorted_camera_is_no_camera_of_maps(scene: synthetic.Scene) -> None:
     np.testing.assert_array_equal(malus.surface.normals_from_depth(scene.depth, plain), expected)
 
 
-def test_degrees_are_not_radians(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
+def test_angles_in_degrees_are_refused(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
     with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*degrees"):
         malus.polarization.decompose(images, [0, 30, 60, 90, 120, 150])
     turned = malus.polarization.decompose(images, np.deg2rad(sensor.angles_deg) + np.pi)
     assert turned.valid.any()
 
 
-def test_levels_are_not_shares_of_white(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
+def test_intensities_above_one_are_refused(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
     with pytest.raises(ValueError, match=r"images\[0\] reaches .*expected linear intensities in \[0, 1\]"):
         malus.polarization.decompose([255 * image for image in images], np.deg2rad(sensor.angles_deg))
 

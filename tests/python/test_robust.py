@@ -13,7 +13,7 @@ from malus._robust import robust_spread
 ROOT = Path(__file__).parents[2]
 
 
-def test_spread_is_that_of_the_right_values() -> None:
+def test_spread_ignores_outliers_and_missing_values() -> None:
     values = np.random.default_rng(3).normal(0, 2.5, 40_000)
     assert robust_spread(values) == pytest.approx(2.5, rel=0.02)
     values[::50] = 1e9
@@ -21,7 +21,7 @@ def test_spread_is_that_of_the_right_values() -> None:
     assert robust_spread(values) == pytest.approx(2.5, rel=0.05)
 
 
-def test_the_factor_is_written_once() -> None:
+def test_the_mad_factor_is_written_once() -> None:
     modules = (ROOT / "python/malus").rglob("*.py")
     found = [
         path.name

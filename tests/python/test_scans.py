@@ -78,7 +78,7 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str) -> None:
 def test_las_headers_that_count_more_than_the_file_holds_are_refused(
     tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    """Billions of records or points are neither read nor given memory."""
+    """The reader neither reads billions of records or points nor allocates memory for them."""
     write_las(tmp_path / "cloud.las", *cloud)
     whole = bytearray((tmp_path / "cloud.las").read_bytes())
     for offset, word in ((100, "records"), (107, "points")):

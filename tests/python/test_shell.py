@@ -1,4 +1,4 @@
-"""Completion and manual page, used by the programs that they are for."""
+"""Completion and manual page, tested with bash, zsh and man."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytest.importorskip("shtab")
 
 
 def completed(script: Path, words: str, cwd: Path) -> set[str]:
-    """What bash offers after these words."""
+    """The completions that bash offers after these words."""
     program = f"""source {script}
 COMP_WORDS=({words} ''); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))
 $(complete -p malus | sed 's/.*-F \\([^ ]*\\) .*/\\1/') malus '' ''
@@ -35,7 +35,7 @@ def test_bash_completes_commands_and_values(tmp_path: Path) -> None:
     assert {"glb", "iiif", "archive"} <= completed(script, "malus export --format", tmp_path)
 
 
-def test_zsh_takes_its_script(tmp_path: Path) -> None:
+def test_zsh_accepts_its_script(tmp_path: Path) -> None:
     told = run_malus("completion", "zsh")
     assert told.code == 0 and told.out.startswith("#compdef malus")
     if shutil.which("zsh"):

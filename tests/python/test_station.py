@@ -1,4 +1,4 @@
-"""A station made in code says what a station file can say, in the same words, and gives the same results."""
+"""A station made in Python takes the same keys as a station file and gives the same results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
 CAMERA = malus.Camera("PINHOLE", SIZE[1], SIZE[0], [200.0, 200.0, 29.5, 19.5])
 
-#: What both forms say below; the camera's parameters are in COLMAP's pixel convention in the file.
+#: Values of both the arrays' station and the file below. The file has the camera's parameters in COLMAP's pixel convention.
 WORDS: dict[str, Any] = {
     "polarized": {
         "angle_direction": "cw",
@@ -97,7 +97,7 @@ def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
 
 
-def test_it_is_the_station_of_the_file(pictures: list[np.ndarray], tmp_path: Path) -> None:
+def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], tmp_path: Path) -> None:
     for k, picture in enumerate(pictures):
         tifffile.imwrite(tmp_path / f"{k}.tif", picture.astype(np.float32), photometric="rgb")
     (tmp_path / "station.toml").write_text(FILE)
@@ -113,7 +113,7 @@ def test_it_is_the_station_of_the_file(pictures: list[np.ndarray], tmp_path: Pat
     assert np.isfinite(found.unpolarized).mean() > 0.9
 
 
-def test_prior_with_normals_and_prior_of_a_file_are_those_of_the_file(small_station: Path) -> None:
+def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Path) -> None:
     folder = small_station.parent
     expected = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=1)
     described = malus.Station.load(small_station).describe()
@@ -127,7 +127,7 @@ def test_prior_with_normals_and_prior_of_a_file_are_those_of_the_file(small_stat
     for prior in (cloud, {"prior": {"cloud": str(folder / "dense/cloud.ply")}}):
         station = malus.Station(images, described["angles_deg"], camera, polarized={"white_level": 16383}, **prior)
         found = malus.reconstruct(station, until="prior", threads=1)
-        # But for the rounding of the camera's parameters.
+        # Equal except for the rounding of the camera's parameters.
         np.testing.assert_allclose(found.prior_depth, expected.prior_depth, rtol=1e-6)
         np.testing.assert_allclose(found.prior_sigma, expected.prior_sigma, rtol=1e-4)
 
@@ -172,12 +172,12 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
         ({"prior_points": np.zeros((3, 3)), "prior": {"mesh": "x.ply"}}, "more than one is given"),
     ],
 )
-def test_what_python_can_tell(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
+def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         in_memory(pictures, **changes)
 
 
-def test_a_shape_and_the_standard_deviation_of_any_prior(pictures: list[np.ndarray]) -> None:
+def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
     plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
     depth = np.full((40, 60), 200.0)
     priors: list[dict[str, Any]] = [{"prior": plane}, {"prior_depth": depth, "prior_sigma": 0.5}]

@@ -1,4 +1,4 @@
-"""Each step alone on arrays, against the truth; and docs/steps.md: every step that it lists is there by every name, and tested."""
+"""Each step alone on arrays, compared with the truth; and docs/steps.md: every name in it exists, and every step is tested."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ ROWS = [
 
 
 def of_python(cell: str) -> list[str]:
-    """Names as they are called: those after the first of a row are of its module."""
+    """Full names of the functions in a cell: names without a module are of the first name's module."""
     names = re.findall(r"`([\w.]+)`", cell)
     module = names[0].rpartition(".")[0] if names else ""
     return [name if "." in name else f"{module}.{name}" for name in names]
 
 
-#: Towards the lamp, so far aside that nothing mirrors it.
+#: Direction to the lamp, so far to the side that nothing mirrors the lamp.
 LAMP = (-0.6, -0.6, -0.53)
 ANGLES = np.radians([0, 30, 60, 90, 120, 150])
 
@@ -49,7 +49,7 @@ class Dome:
         return self.scene.camera
 
     def detail_gsd(self, depth: np.ndarray) -> float:
-        """Robust spread of the error against neighbors, inside."""
+        """Robust spread of the depth error relative to neighboring pixels, without the borders, in GSD."""
         error = (depth - self.scene.depth)[8:-8, 8:-8] / self.scene.gsd
         error = error - 0.25 * sum(np.roll(error, shift, axis) for axis in (0, 1) for shift in (-3, 3))
         return 1.48 * float(np.nanmedian(np.abs(error[4:-4, 4:-4])))
@@ -88,19 +88,19 @@ def test_capture_on_arrays() -> None:
 
     found = malus.capture.register([texture((0, 0)), texture((1.25, -0.5))], threads=2)
     middle = np.array([80.0, 60.0, 1.0])
-    # OpenCV's bicubic interpolation moves what it interpolates by up to 0.05 px; the map makes up for that.
+    # OpenCV's bicubic interpolation shifts an image by up to 0.05 px; the estimated map compensates for that shift.
     np.testing.assert_allclose(found[1].image_from_base @ middle, middle[:2] + (1.25, -0.5), atol=0.06)
 
     lens = Camera("SIMPLE_RADIAL", 64, 48, [60.0, 31.5, 23.5, 0.05])
     v, u = np.mgrid[:48, :64].astype(float)
-    # Brightness that is the ideal column, as the lens shows it: undistorted it is the column itself.
+    # The brightness in the distorted image is the ideal column: after undistortion it equals the pixel's own column.
     measured = np.hypot(u - 31.5, v - 23.5) / 60
     ideal = measured.copy()
     for _ in range(30):
         ideal = measured / (1 + 0.05 * ideal**2)
     column = 31.5 + (u - 31.5) * np.where(measured > 0, ideal / np.maximum(measured, 1e-12), 1)
     flat = malus.capture.undistort(column / 64, lens)
-    # OpenCV's bicubic weights are off by up to a twentieth of a pixel on a slope; without the lens it is 0.5 px.
+    # OpenCV's bicubic weights are off by up to a twentieth of a pixel on a slope; without the lens model the error is 0.5 px.
     np.testing.assert_allclose(flat[4:-4, 4:-4] * 64, u[4:-4, 4:-4], atol=0.06)
 
 
@@ -108,7 +108,7 @@ def test_polarization_on_arrays(dome: Dome) -> None:
     wrong = ANGLES + np.radians([0, 2, -1, 1, 0, -2])
     found = malus.polarization.calibrate(dome.images, wrong, full_well_e=1e9, read_noise_e=0)
     turned = found["angles_rad"] - ANGLES
-    assert np.abs(np.degrees(turned - turned.mean())).max() < 0.3  # of 2°; the zero they cannot tell
+    assert np.abs(np.degrees(turned - turned.mean())).max() < 0.3  # of 2°; the images do not determine the zero
     np.testing.assert_allclose(found["gains"], 1, atol=5e-3)
 
     zenith = np.linspace(0.05, 0.9, 20)
@@ -129,7 +129,7 @@ def test_priors_on_arrays(dome: Dome) -> None:
     gsd = dome.scene.gsd
     assert np.abs(cloud.depth - smooth)[inside].max() < 0.2 * gsd and (cloud.sigma[inside] > 0).all()
 
-    # Few noisy points: their normals tell the form between them.
+    # Few noisy points: their normals add information about the form between them.
     random = np.random.default_rng(3)
     normals = malus.surface.normals_from_depth(smooth, camera)
     few = np.s_[8:-8:8, 8:-8:8]
@@ -164,7 +164,7 @@ def test_light_on_arrays(dome: Dome) -> None:
 
 
 def test_fusions_on_arrays(dome: Dome) -> None:
-    """A prior that lost the ripples: each of the three ways brings most of them back."""
+    """A prior without the ripples: each of the three kinds of fusion restores most of them."""
     v, u = np.mgrid[:96, :96].astype(float)
     smooth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
     camera = dome.camera
@@ -211,7 +211,7 @@ def test_mesh_and_assessment_on_arrays() -> None:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=[row[0] for row in ROWS])
-def test_each_step_is_where_the_table_says(row: list[str]) -> None:
+def test_each_step_exists_as_the_table_says(row: list[str]) -> None:
     step, command, python, library = row
     assert of_python(python), f"{step} has no function in Python"
     tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*.py"))
@@ -223,8 +223,8 @@ def test_each_step_is_where_the_table_says(row: list[str]) -> None:
             thing = getattr(malus, parent.rpartition(".")[2])
         function = getattr(thing, last)
         assert callable(function) and inspect.getdoc(function), name
-        # Tests that run a command call what is behind it.
-        # By its module's name: another module may have a function of the same name.
+        # Tests of `malus paper` run the command, which calls its functions; the functions of other steps are called by a test.
+        # The search includes the module's name: another module may have a function of the same name.
         called = ".".join(name.split(".")[-2:]) if parent != "malus.Camera" else f"camera.{last}"
         assert re.search(rf"\b{re.escape(called)}\(", tests) or command == "`malus paper`", (
             f"{name} is called by no test"

@@ -155,7 +155,7 @@ def test_station_is_swept_again_about_the_fused_surface_once(
         assert first.figures["first"]["completeness"] > 0.9
 
 
-def test_where_photos_see_little_what_the_fused_surface_contradicts_is_left_out(
+def test_incomplete_sweep_drops_depths_that_the_fused_surface_contradicts(
     scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(front_end, "AGAIN_COMPLETENESS", 1.1)
@@ -166,7 +166,7 @@ def test_where_photos_see_little_what_the_fused_surface_contradicts_is_left_out(
     fused: list[front_end.Swept] = []
 
     def fuse(swept: front_end.Swept) -> front_end.FusedOnce:
-        """A surface that the sweep is off by 20 GSD in one place, and by a scale, which shape alone does not tell."""
+        """A surface that differs from the sweep by 20 GSD in one place, and by a scale, which shape alone does not determine."""
         fused.append(swept)
         surface = np.float32(1.01 * scene["depth"])
         surface[mirror] -= 20 * gsd

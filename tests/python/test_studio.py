@@ -75,6 +75,11 @@ def test_other_names_of_this_computer_are_refused(served: Served) -> None:
         assert served.ask("GET", "/", {"Host": host, "Cookie": served.cookie()})[0] == 421
 
 
+def test_a_body_that_is_too_large_is_refused_for_its_size(served: Served) -> None:
+    status, told = served.tell("mask?path=a.toml&image=pol_000.png", bytes(64_000_001), "PUT")
+    assert status == 413 and "more than 64 MB" in told
+
+
 def test_changes_need_the_own_page(served: Served) -> None:
     cookie = served.cookie()
     token = served.page_token(cookie)
@@ -754,10 +759,10 @@ def test_photos_in_folders_are_marked_by_the_names_that_the_run_gives_them(tmp_p
     from malus.studio import folders
     from malus.studio.access import Root
 
-    for name in ("p10.png", "p9.png", "left/p9.png", "notes.txt", "raw.dng", "blurred.png"):
+    for name in ("p10.png", "p9.png", "left/p9.png", "notes.txt", "raw.dng", "blurred.png", "masks/p9.png"):
         (tmp_path / "views" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "views" / name).write_bytes(b"")
-    values = {"photos": {"folder": "views", "exclude": ["blurred*"]}}
+    values = {"photos": {"folder": "views", "exclude": ["blurred*"], "masks": "views/masks"}}
     assert folders.photos_of(Root(tmp_path), tmp_path / "station.toml", values) == [
         {"path": f"views/{name}", "image": name} for name in ("left/p9.png", "p9.png", "p10.png")
     ]
@@ -1129,7 +1134,7 @@ def test_control_points_are_marked(served: Served, page: Any) -> None:
     page.route("**/api/control", lambda route: route.fulfill(json=OF_THREE_POINTS))
     named.fill("T2")
     named.press("Tab")
-    page.get_by_text("The camera stands where 1 point puts it.").wait_for()
+    page.get_by_text("The camera's pose follows from 1 point.").wait_for()
     page.unroute("**/api/control")
     page.get_by_role("button", name="Remove").click()
     page.get_by_text("Mark each point where the image shows it.").wait_for()

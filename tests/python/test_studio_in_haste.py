@@ -1,4 +1,4 @@
-"""Studio's page and people who are quicker than its answers, look elsewhere or change their minds."""
+"""Studio's page and users who act before its answers arrive, go to another part or change their minds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from studio_browser import (
 
 pytestmark = [needs_studio, needs_browser]
 
-#: What a person has made of the folder's images, cameras and cloud.
+#: A station file for the folder's images, cameras and cloud.
 STATION = """[station]
 name = "museum"
 unit = "mm"
@@ -90,12 +90,12 @@ def open_station(page: Any, name: str) -> None:
     page.locator("#plan", has_text="Ready").wait_for()
 
 
-def test_what_is_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -> None:
+def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -> None:
     kept = held(page, "set")
     place = page.get_by_role("textbox", name="Name of the object")
     place.fill("Quick")
     level = page.get_by_label("White level")
-    level.click()  # which leaves the name
+    level.click()  # takes the focus from the name
     level.press_sequentially("60")
     let_go(page, kept, "set")
     page.locator("#station-text").evaluate(
@@ -106,7 +106,7 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(page: Any, station: Path
     wait_for(page, lambda: "white_level = 60000" in station.read_text())
     assert 'name = "Quick"' in station.read_text()
     wait_for(page, lambda: level.get_attribute("value") == "60000")
-    # What was typed in whole before the answer came is a change, too.
+    # Text that was typed completely before the answer came is a change, too.
     kept = held(page, "set")
     place.fill("Slow")
     level.click()
@@ -117,15 +117,15 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(page: Any, station: Path
     wait_for(page, lambda: "white_level" not in station.read_text())
     assert 'name = "Slow"' in station.read_text()
     wait_for(page, lambda: not level.get_attribute("value"))
-    # So does what was marked: the next key replaces it.
+    # A selection stays, too: the next key replaces the selected text.
     kept = held(page, "set")
     level.fill("50000")
-    place.select_text()  # which leaves the level
+    place.select_text()  # takes the focus from the level
     let_go(page, kept, "set")
     wait_for(page, lambda: level.get_attribute("value") == "50000")
     page.keyboard.insert_text("Marked")
     kept = held(page, "set")
-    level.select_text()  # which leaves the name
+    level.select_text()  # takes the focus from the name
     let_go(page, kept, "set")
     wait_for(page, lambda: place.get_attribute("value") == "Marked")
     page.keyboard.insert_text("70000")
@@ -134,7 +134,7 @@ def test_what_is_typed_while_an_answer_is_awaited_stays(page: Any, station: Path
     assert 'name = "Marked"' in station.read_text()
 
 
-def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
+def test_the_last_of_several_quick_choices_counts(served: Served, page: Any) -> None:
     from playwright.sync_api import expect
 
     for name in ("Images", "Station", "Draw", "Options", "Station", "Run", "Draw"):
@@ -143,7 +143,7 @@ def test_the_last_of_quick_choices_counts(served: Served, page: Any) -> None:
     assert page.evaluate("[...document.querySelectorAll('main > section')].filter(one => !one.hidden).map(one => one.id)") == ["draw"]  # fmt: skip
     assert page.evaluate("document.querySelectorAll('#draw, #draw [inert]').length") == 1
     assert page.locator("[data-tool=move]").count() == 1
-    # A folder that answers late is not shown instead of the one that was chosen after it.
+    # A folder whose answer comes late does not replace the folder that was chosen after it.
     go(page, "Images")
     page.get_by_role("button", name="pol (6 images)").wait_for()
     kept = held(page, "folder")
@@ -177,7 +177,7 @@ box = [40, 40, 60, 60]
 
 
 def add(page: Any, station: Path, text: str) -> None:
-    """What another program writes into the station's file, and is shown in the page."""
+    """Append text to the station's file as another program would, and show it in the page."""
     station.write_text(station.read_text() + text)
     go(page, "Station")
 
@@ -207,12 +207,12 @@ def test_a_list_that_another_program_changed_is_not_overwritten(page: Any, stati
     assert "theirs" in station.read_text() and "first" not in station.read_text()
 
 
-def test_an_image_that_is_chosen_while_another_one_is_loading_is_drawn_on(page: Any) -> None:
+def test_an_image_chosen_while_another_one_is_loading_can_be_drawn_on(page: Any) -> None:
     kept = held(page, "size")
     go_on = page.get_by_role("banner").get_by_role("button", name="Draw", exact=True)
     go_on.click()
     wait_for(page, lambda: bool(kept))
-    # By the keyboard or a script, as what is inert takes no pointer.
+    # Chosen by a script, as by the keyboard: an inert element takes no pointer.
     page.locator("#draw-image").evaluate("one => { one.selectedIndex = 2; one.dispatchEvent(new Event('change')); }")
     let_go(page, kept, "size")
     page.locator("main:not([aria-busy])").wait_for()
@@ -232,7 +232,7 @@ def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Pa
     wait_for(page, lambda: bool(kept))
     box = page.locator("#draw-stage").bounding_box()
     assert box
-    page.mouse.click(box["x"] + 300, box["y"] + 200)  # on the photo that is still to be seen
+    page.mouse.click(box["x"] + 300, box["y"] + 200)  # on the photo that is still shown
     let_go(page, kept, "size")
     page.locator("#draw-stage:not([inert])").wait_for()
     page.locator("#draw-stage").click(position={"x": 100, "y": 100})
@@ -242,7 +242,7 @@ def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Pa
     wait_for(page, lambda: "view_04" not in station.read_text())  # there was one mark only
 
 
-def test_nothing_is_painted_while_the_edge_is_looked_for(page: Any) -> None:
+def test_nothing_is_painted_during_the_search_for_the_edge(page: Any) -> None:
     draw(page, "mask")
     stage = page.locator("#draw-stage")
     page.locator("[data-tool=brush]").click()
@@ -255,7 +255,7 @@ def test_nothing_is_painted_while_the_edge_is_looked_for(page: Any) -> None:
     page.locator("#draw-stage:not([inert])").wait_for()
 
 
-def test_a_tool_that_is_chosen_by_the_keyboard_keeps_it(page: Any) -> None:
+def test_a_tool_chosen_by_the_keyboard_keeps_the_focus(page: Any) -> None:
     draw(page, "patch")
     page.locator("[data-tool=box]").focus()
     page.keyboard.press("Enter")
@@ -265,7 +265,7 @@ def test_a_tool_that_is_chosen_by_the_keyboard_keeps_it(page: Any) -> None:
 
 def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None:
     place = page.get_by_role("textbox", name="Name of the object")
-    kept = held(page, "model")  # which the page asks for while it shows what was changed
+    kept = held(page, "model")  # the page requests it while it shows the change
     place.fill("Other")
     place.press("Tab")
     wait_for(page, lambda: bool(kept))
@@ -281,7 +281,7 @@ def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None
     page.locator("#redo:not([disabled])").wait_for()
 
 
-def test_text_of_the_file_that_is_being_typed_stays(page: Any, station: Path) -> None:
+def test_text_being_typed_into_the_station_file_stays(page: Any, station: Path) -> None:
     text = page.locator("#station-text")
     page.locator("summary", has_text="The station file").click()
     kept = held(page, "set")
@@ -294,7 +294,7 @@ def test_text_of_the_file_that_is_being_typed_stays(page: Any, station: Path) ->
     wait_for(page, lambda: "Quick" in station.read_text())
     page.wait_for_function("document.querySelector('#fields input').value === 'Quick'")
     assert text.input_value().endswith("# typed meanwhile") and "Quick" not in text.input_value()
-    # It was typed upon a file that has changed since: that is said before it replaces the file.
+    # The file has changed since the typing began: the page says so before the text replaces the file.
     save = page.locator("#save-text")
     save.click()
     page.locator("#message", has_text="What you have typed still stands here").wait_for()
@@ -322,7 +322,7 @@ def test_the_station_that_was_opened_last_stays_open(served: Served, page: Any, 
     assert "Quick" not in other.read_text()
 
 
-def test_a_press_that_lasts_longer_than_an_answer_is_a_press(page: Any, station: Path) -> None:
+def test_a_press_during_which_an_answer_arrives_still_counts(page: Any, station: Path) -> None:
     add(page, station, TWO_PATCHES)
     draw(page, "patch")
     kept = held(page, "set")
@@ -331,7 +331,7 @@ def test_a_press_that_lasts_longer_than_an_answer_is_a_press(page: Any, station:
     removing = page.get_by_role("group", name="patch second").get_by_role("button", name="Remove").bounding_box()
     assert removing
     page.mouse.move(removing["x"] + 5, removing["y"] + 5)
-    page.mouse.down()  # which leaves the field
+    page.mouse.down()  # takes the focus from the field
     let_go(page, kept, "set")
     wait_for(page, lambda: "mine" in station.read_text())
     page.wait_for_timeout(300)
@@ -340,7 +340,7 @@ def test_a_press_that_lasts_longer_than_an_answer_is_a_press(page: Any, station:
     assert "mine" in station.read_text()
 
 
-def test_angles_that_are_typed_before_the_names_are_read_stay(page: Any) -> None:
+def test_angles_typed_before_the_file_names_are_read_stay(page: Any) -> None:
     go(page, "Images")
     kept = held(page, "angles")
     page.get_by_role("button", name="pol (6 images)").click()
@@ -353,7 +353,7 @@ def test_angles_that_are_typed_before_the_names_are_read_stay(page: Any) -> None
     assert typed.input_value() == "33"
 
 
-def test_a_check_that_fails_is_said(page: Any, station: Path) -> None:
+def test_a_failed_check_is_reported(page: Any, station: Path) -> None:
     page.route("**/api/check*", lambda route: route.fulfill(status=400, json={"error": "no room on the disk"}))
     place = page.get_by_role("textbox", name="Name of the object")
     place.fill("Other")
@@ -374,7 +374,7 @@ def test_a_preview_of_another_folder_is_not_shown(page: Any) -> None:
     assert page.locator("#preview .warning").count() == 1
 
 
-def test_the_surface_upon_the_image_is_that_of_the_file(page: Any, station: Path) -> None:
+def test_the_surface_shown_upon_the_image_is_that_of_the_station_file(page: Any, station: Path) -> None:
     show = page.get_by_role("button", name="Show the coarse surface upon the image")
     show.click()
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
@@ -383,7 +383,7 @@ def test_the_surface_upon_the_image_is_that_of_the_file(page: Any, station: Path
     page.locator("#overlay-stage").wait_for(state="hidden")
     cameras.select_option("sparse")
     page.locator("#plan", has_text="Ready").wait_for()
-    for late in ("overlay", "size"):  # the second one is the image's below the surface
+    for late in ("overlay", "size"):  # "size" is for the image below the surface
         kept = held(page, late)
         show.click()
         wait_for(page, lambda kept=kept: bool(kept))
@@ -396,7 +396,7 @@ def test_the_surface_upon_the_image_is_that_of_the_file(page: Any, station: Path
         page.locator("#plan", has_text="Ready").wait_for()
 
 
-def test_what_is_said_of_another_mark_is_dropped(page: Any, station: Path) -> None:
+def test_a_late_message_about_another_mark_is_dropped(page: Any, station: Path) -> None:
     add(page, station, '\n[photos]\nfolder = "views"\n\n[[scale]]\ndistance = 10\na = []\nb = []\n')
     draw(page, "scale")
     kept: list[Any] = []
@@ -415,14 +415,14 @@ def fulfil_marks(route: Any, said: str) -> None:
     route.fulfill(json={"problem": said, "lines": [], "fits": {}})
 
 
-#: A run as the page is told of it.
+#: A run as the server describes it to the page.
 RUN = {
     "number": 1, "title": "museum", "state": "waiting", "fraction": 0, "step": "", "message": "", "seconds_left": None, "steps": {},
     "error": "", "work": "station_work", "report": None, "asked": {"name": "run", "body": {}},
 }  # fmt: skip
 
 
-def test_a_button_of_a_run_that_begins_meanwhile_keeps_the_keyboard(page: Any) -> None:
+def test_a_button_keeps_the_focus_when_its_run_begins(page: Any) -> None:
     run = dict(RUN)
     page.route("**/api/runs*", lambda route: route.fulfill(json=[run]))
     go(page, "Run")
@@ -432,7 +432,7 @@ def test_a_button_of_a_run_that_begins_meanwhile_keeps_the_keyboard(page: Any) -
     assert page.evaluate("document.activeElement.textContent") == "Cancel"
 
 
-def test_results_that_cannot_be_read_can_be_scrolled_to_by_the_keyboard(page: Any) -> None:
+def test_unreadable_results_can_be_scrolled_to_by_the_keyboard(page: Any) -> None:
     broken = [
         {"path": f"work_{k}", "problem": f"manifest.json: no results of a run ({'broken ' * 20})"} for k in (1, 2)
     ]
@@ -453,7 +453,7 @@ def test_an_earlier_list_of_runs_that_comes_late_is_dropped(page: Any) -> None:
         nonlocal answered
         answered += 1
         if answered == 2:
-            kept.append(route)  # the page looks again while a run goes on
+            kept.append(route)  # the page asks again while a run goes on
         else:
             route.fulfill(json=runs)
 
@@ -491,7 +491,7 @@ def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, pag
     page.locator("svg.profile").first.wait_for()
     keep = page.get_by_role("button", name="Keep it in the open station")
     assert keep.is_disabled()
-    page.get_by_text("open station_b.toml first: this is a result of that station").wait_for()
+    page.get_by_text("open station_b.toml first: this result belongs to it").wait_for()
     open_station(page, "station_b.toml")
     go(page, "Results")
     assert keep.is_enabled()
@@ -501,7 +501,7 @@ def test_a_profile_is_kept_in_the_station_of_its_result_only(served: Served, pag
     results[0] = {**RESULT, "station": None}
     go(page, "Results")
     page.get_by_role("button", name="Profile").click()
-    page.get_by_text("the station of this result does not lie in the opened folder").wait_for()
+    page.get_by_text("the station of this result is not in the opened folder").wait_for()
     require_accessible(page)
 
 
@@ -535,7 +535,7 @@ def section_to(far: int) -> dict[str, Any]:
     return {"unit": "mm", "along": [0, far / 2, far], "prior": [0, 1, 0], "fused": [0, 2, 0]}
 
 
-def test_the_log_that_is_read_goes_on_with_its_run(page: Any) -> None:
+def test_an_open_log_grows_with_its_run(page: Any) -> None:
     lines = ["first line"]
     page.route("**/api/runs*", lambda route: route.fulfill(json=[{**RUN, "state": "running"}]))
     page.route("**/api/log*", lambda route: route.fulfill(json={"lines": lines}))
@@ -546,7 +546,7 @@ def test_the_log_that_is_read_goes_on_with_its_run(page: Any) -> None:
     page.locator("pre", has_text="second line").wait_for()
 
 
-def test_what_was_typed_of_a_new_station_is_there_after_a_look_elsewhere(page: Any) -> None:
+def test_entries_for_a_new_station_survive_a_visit_to_another_part(page: Any) -> None:
     go(page, "Images")
     page.get_by_role("button", name="views (3 images)").click()
     page.locator("#preview .warning").wait_for()
@@ -560,14 +560,14 @@ def test_what_was_typed_of_a_new_station_is_there_after_a_look_elsewhere(page: A
     go(page, "Images")
     assert (angle.input_value(), name.input_value(), file.input_value()) == ("10", "Bust", "bust.toml")
     assert not page.get_by_label("view_08.jpg is polarized").is_checked()
-    # Another folder begins anew, and so does this one after it.
+    # Another folder starts with fresh entries, and so does this folder after the other one.
     page.get_by_role("button", name="opened folder: museum").click()
     page.get_by_role("button", name="views (3 images)").click()
     page.locator("#preview .warning").wait_for()
     assert angle.input_value() == "" and file.input_value() != "bust.toml"
 
 
-def test_cameras_and_surface_are_proposed_from_the_own_object(served: Served, page: Any) -> None:
+def test_cameras_and_surface_are_proposed_from_the_stations_own_folder(served: Served, page: Any) -> None:
     """Another object with cameras and a cloud of its own lies beside it."""
     one, other = served.folder / "objects/one", served.folder / "objects/other"
     for place in (one, other):
@@ -616,7 +616,7 @@ def test_stations_that_were_ticked_stay_ticked(served: Served, page: Any) -> Non
     assert (
         page.get_by_label("Run station_b.toml").is_checked() and not page.get_by_label("Run station.toml").is_checked()
     )
-    # Who opens another station means that one.
+    # Opening another station ticks that station alone.
     page.get_by_label("Run station.toml").check()
     open_station(page, "station_b.toml")
     go(page, "Run")
@@ -625,14 +625,14 @@ def test_stations_that_were_ticked_stay_ticked(served: Served, page: Any) -> Non
     )
 
 
-def test_what_is_no_number_removes_none(page: Any, station: Path) -> None:
+def test_invalid_input_does_not_remove_a_number(page: Any, station: Path) -> None:
     level = page.get_by_label("White level")
     level.fill("60000")
     level.press("Tab")
     wait_for(page, lambda: "white_level = 60000" in station.read_text())
     wait_for(page, lambda: level.get_attribute("value") == "60000")
     level.select_text()
-    level.press_sequentially("1e")  # A browser says of it what it says of an empty field.
+    level.press_sequentially("1e")  # The browser reports the same value as for an empty field.
     level.press("Tab")
     page.locator("#message", has_text="Expected a number; it stays 60000").wait_for()
     assert level.input_value() == "60000" and "white_level = 60000" in station.read_text()
@@ -696,7 +696,7 @@ b = []
 """
 
 
-def test_what_is_being_marked_stays_when_another_is_removed(page: Any, station: Path) -> None:
+def test_marking_continues_when_another_distance_is_removed(page: Any, station: Path) -> None:
     add(page, station, THREE_DISTANCES)
     draw(page, "scale")
     page.get_by_role("group", name="distance 2").get_by_role("button", name="Mark end a").click()
@@ -708,13 +708,13 @@ def test_what_is_being_marked_stays_when_another_is_removed(page: Any, station: 
     wait_for(page, lambda: "view_00.jpg" in station.read_text())
     second, third = station.read_text().split("[[scale]]")[1:]
     assert "distance = 20" in second and "view_00.jpg" in second and "view_00.jpg" not in third
-    # Where that one is removed, nothing is marked.
+    # When the distance that is being marked is removed, marking ends.
     page.get_by_role("group", name="distance 1").get_by_role("button", name="Remove").click()
     page.get_by_role("group", name="distance 2").wait_for(state="detached")
     page.locator("[data-tool=move][aria-pressed=true]").wait_for()
 
 
-def test_no_lines_are_seen_between_the_squares_of_an_image(page: Any) -> None:
+def test_no_gaps_show_between_the_tiles_of_an_image(page: Any) -> None:
     square = io.BytesIO()
     Image.new("L", (512, 512), 200).save(square, "JPEG")
     page.route("**/api/size*", lambda route: route.fulfill(json={"width": 1536, "height": 512}))
@@ -727,15 +727,15 @@ def test_no_lines_are_seen_between_the_squares_of_an_image(page: Any) -> None:
         y, left, right = (int(part) for part in (box["y"] + box["height"] / 2 - 20, box["x"], box["x"] + box["width"]))
         return shown[y, left + 10 : right - 10]
 
-    for _ in range(4):  # at any size, and at its end once more
+    for _ in range(4):  # at several sizes; the last one is checked below
         wait_for(page, lambda: abs(np.median(row()) - 200) <= 2)
         wait_for(page, lambda: abs(row() - 200).max() <= 2)
         page.locator("#draw-stage").press("+")
-        page.wait_for_timeout(500)  # it grows for 0.35 s
+        page.wait_for_timeout(500)  # the zoom takes 0.35 s
     assert abs(row() - 200).max() <= 2
 
 
-def test_of_coordinates_with_a_mistake_none_is_taken(page: Any, station: Path) -> None:
+def test_no_coordinates_are_taken_if_a_line_is_wrong(page: Any, station: Path) -> None:
     add(page, station, '\n[[control]]\nname = "A"\nxyz = [1, 2, 3]\n')
     draw(page, "control")
     typed = page.get_by_label("Coordinates, a point a line: name X Y Z")
@@ -748,7 +748,7 @@ def test_of_coordinates_with_a_mistake_none_is_taken(page: Any, station: Path) -
     assert "P1" not in station.read_text() and "xyz = [1, 2, 3]" in station.read_text()
 
 
-def test_why_there_is_nothing_to_draw_on_is_said(served: Served, page: Any, station: Path) -> None:
+def test_a_missing_image_to_draw_on_is_explained(served: Served, page: Any, station: Path) -> None:
     outside = served.folder.parent / "outside"
     shutil.copytree(served.folder / "pol", outside)
     station.write_text(STATION.replace('"pol"', '"../outside"'))
@@ -759,7 +759,7 @@ def test_why_there_is_nothing_to_draw_on_is_said(served: Served, page: Any, stat
     shutil.rmtree(outside)
 
 
-def test_files_that_cannot_be_named_are_told_of(served: Served, page: Any) -> None:
+def test_files_with_undecodable_names_are_listed(served: Served, page: Any) -> None:
     odd = served.folder / os.fsdecode(b"B\xfcste.png")
     odd.write_bytes(b"")
     go(page, "Images")
@@ -767,7 +767,7 @@ def test_files_that_cannot_be_named_are_told_of(served: Served, page: Any) -> No
     odd.unlink()
 
 
-def test_a_mask_beside_the_images_is_none_of_them_and_is_taken(served: Served, page: Any) -> None:
+def test_a_mask_beside_the_images_is_taken_as_the_mask(served: Served, page: Any) -> None:
     folder = served.folder / "masked"
     shutil.copytree(served.folder / "pol", folder)
     (folder / "mask.png").write_bytes(encode(np.full((160, 200), 255, np.uint8), "PNG"))

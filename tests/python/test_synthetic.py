@@ -36,7 +36,7 @@ def test_stokes_of_a_ball() -> None:
     middle = (scene.camera.height - 1) / 2
     v, u = np.mgrid[: scene.camera.height, : scene.camera.width]
     radius = np.hypot(u - middle, v - middle)
-    # At 45° and 60° of zenith Eq 6 gives these degrees, and the phase is the azimuth: image y points down.
+    # At 45° and 60° of zenith Eq 6 gives these degrees of polarization, and the phase is the azimuth. Image y points down.
     for zenith, degree in ((45, 0.045), (60, 0.096)):
         ring = np.abs(radius - 90 * np.sin(np.deg2rad(zenith))) < 0.7
         assert np.median((np.hypot(s1, s2) / s0)[ring]) == pytest.approx(degree, abs=0.004)
@@ -69,7 +69,7 @@ def test_station_is_reconstructed(tmp_path: Path, prior: str, refinement: dict[s
     assert len(described["polarized"]["images"]) == 6
 
 
-def test_size_does_not_change_the_character() -> None:
+def test_image_size_does_not_change_the_steepness() -> None:
     steepness = []
     for width, height in ((240, 160), (720, 480)):
         scene = synthetic.relief(width, height, seed=3)

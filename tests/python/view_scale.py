@@ -1,4 +1,4 @@
-"""The scale of a view that can be turned, read as a person does: the bar's label over its length, and what it measures then."""
+"""The scale of a view that can be turned, read from its scale bar (label over length), and sizes measured by that scale."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 _MM = {"µm": 1e-3, "mm": 1.0, "m": 1e3}
-#: Columns and rows of the canvas in which something is drawn, in CSS pixels.
+#: Counts the columns and rows of the canvas in which something is drawn, in CSS pixels.
 _DRAWN = """(canvas) => {
   const copy = Object.assign(document.createElement('canvas'), { width: canvas.clientWidth, height: canvas.clientHeight });
   const context = copy.getContext('2d');
@@ -28,7 +28,7 @@ _DRAWN = """(canvas) => {
 
 @contextmanager
 def turning_view(path: Path, name: str) -> Iterator[Any]:
-    """The view `name` of the page, on a phone's width, drawn for the first time."""
+    """The view `name` of the page at a phone's width, once it has been drawn."""
     playwright = pytest.importorskip("playwright.sync_api")
     chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
@@ -47,7 +47,7 @@ def turning_view(path: Path, name: str) -> Iterator[Any]:
 
 
 def pixel_mm(view: Any) -> float:
-    """What a CSS pixel of the view measures by its scale bar, once it has been drawn."""
+    """Size of a CSS pixel of the view by its scale bar, after the view has been redrawn."""
     view.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     bar = view.locator(".scale")
     value, unit = re.fullmatch(r"([\d.]+) (µm|mm|m)", bar.inner_text()).groups()  # type: ignore[union-attr]
@@ -57,6 +57,6 @@ def pixel_mm(view: Any) -> float:
 
 
 def drawn_mm(view: Any) -> list[float]:
-    """Width and height of what the view shows, by its scale bar."""
+    """Width and height of the object in the view, by its scale bar."""
     size = pixel_mm(view)
     return [count * size for count in view.locator("canvas").evaluate(_DRAWN)]

@@ -1,4 +1,4 @@
-"""Pinhole cameras.  Camera frame: x right, y down, z forward (OpenCV, COLMAP).  K is for OpenCV pixel coordinates, where the
+"""Pinhole cameras.  Camera frame: x right, y down, z forward (OpenCV, COLMAP).  K uses OpenCV pixel coordinates, in which the
 center of the top-left pixel is (0, 0); COLMAP files have +0.5."""
 
 import numpy as np
@@ -32,7 +32,7 @@ class Camera:
         return p[..., :2] / p[..., 2:] * [self.K[0, 0], self.K[1, 1]] + self.K[:2, 2], p[..., 2]
 
     def rays(self):
-        """World directions of the pixel centers, of unit depth along the optical axis; (H*W, 3)."""
+        """Rays through the pixel centers in the camera frame, with depth 1 along the optical axis; (H*W, 3)."""
         u, v = np.meshgrid(np.arange(self.W), np.arange(self.H))
         d = np.stack([(u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1], np.ones_like(u, float)], -1)
         return d.reshape(-1, 3)
@@ -49,7 +49,7 @@ class Camera:
 
 
 def station_camera(spec, size, rng):
-    """spec: target, dist, focal_mm, roll, and direction (from the target to the camera) or tilt = degrees about x and y from +z."""
+    """spec: target, dist, focal_mm, roll, and either direction (from the target to the camera) or tilt (degrees about x and y, from +z)."""
     target = np.array(spec["target"], float)
     if "direction" in spec:
         d = np.array(spec["direction"], float)
@@ -65,7 +65,7 @@ def station_camera(spec, size, rng):
 
 
 def convergent_photos(spec, target, size, rng):
-    """n cameras on two cones about +z (two thirds outside); every fifth is turned by 90 degrees."""
+    """n cameras on two cones about +z (two thirds on the outer one); every fifth camera is rolled by 90 degrees."""
     W, H = size
     n, offset, out = spec["n"], 0.005 * size[0] * rng.uniform(-1, 1, 2), []
     outer = n * 2 // 3
@@ -87,7 +87,7 @@ def around(azimuth_deg, elevation_deg):
 
 
 def ring_photos(spec, target, size, rng):
-    """n cameras around an upright object, at the elevations in turn."""
+    """n cameras around an upright object, which take the elevations in turn."""
     W, H = size
     offset, out = 0.005 * W * rng.uniform(-1, 1, 2), []
     for k in range(spec["n"]):

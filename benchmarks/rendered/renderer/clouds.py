@@ -1,4 +1,4 @@
-"""A point cloud as stereo would plausibly give it: over-smoothed, noisy, with correlated error, outliers and holes."""
+"""A point cloud that imitates a plausible result of stereo: over-smoothed, noisy, with correlated errors, outliers and holes."""
 
 import numpy as np
 from geometry import fbm
@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 
 def from_view(truth, gray, keep, noise, gsd, rng, blur, share, outliers=0.03):
-    """Points, normals, grays from one view's truth. keep = {label: share of points found}; noise in GSD on the object."""
+    """Points, normals, grays from one view's truth. keep = {label: share of the points that are found}; noise on the object in GSD."""
     z, normal, label, cam = truth["z"], truth["normal"], truth["label"], truth["cam"]
     H, W = z.shape
     smooth = np.zeros_like(z)

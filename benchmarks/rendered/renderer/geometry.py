@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 
 def fbm(shape, step, shortest, longest, rng, beta=1.5, aniso=None):
-    """Band-limited random field of unit spread; wavelengths in the unit of `step`; aniso = (angle in rad, stretch)."""
+    """Band-limited random field with standard deviation 1; wavelengths in the unit of `step`; aniso = (angle in rad, stretch)."""
     ny, nx = shape
     white = rng.standard_normal(shape).astype(np.float32)
     fy, fx = np.fft.fftfreq(ny, step)[:, None], np.fft.rfftfreq(nx, step)[None]
@@ -33,13 +33,13 @@ def smin(a, b, k):
 
 
 def axes(half_x, half_y, step):
-    """x, y, X, Y of a height field that covers [-half, half]."""
+    """Coordinates x, y (1-D) and X, Y (2-D) of a height field that covers [-half, half]."""
     x, y = np.arange(-half_x, half_x + step / 2, step), np.arange(-half_y, half_y + step / 2, step)
     return (x, y, *np.meshgrid(x, y))
 
 
 def grid_mesh(x, y, h, step, keep=None):
-    """Vertices, normals, faces and uv of the height field h(y, x); `keep` chooses vertices."""
+    """Vertices, normals, faces and uv of the height field h(y, x); `keep`: mask of the vertices to keep."""
     X, Y = np.meshgrid(x, y)
     gy, gx = np.gradient(h, step)
     N = np.stack([-gx, -gy, np.ones_like(h)], -1)
@@ -56,7 +56,7 @@ def grid_mesh(x, y, h, step, keep=None):
 
 
 def subset(V, N, UV, F):
-    """Only the vertices that the faces F use."""
+    """The mesh reduced to the vertices that the faces F use."""
     used = np.zeros(len(V), bool)
     used[F] = True
     index = np.cumsum(used) - 1
@@ -70,12 +70,12 @@ def dot_target(albedo, X, Y, p, r):
 
 
 def object_mesh(V, N, F, bsdf, uv=None, tex=None, albedo=None):
-    """The object (label 1) where it is one mesh; its diffuse albedo is `tex` over uv, or one value."""
+    """The object (label 1) of a scene where the object is a single mesh; its diffuse albedo is `tex` over uv, or one value."""
     return dict(name="object", V=V, N=N, F=F, uv=uv, tex=tex, albedo=albedo, bsdf=bsdf, label=1, material=1)
 
 
 def board(size, z, rng, feature, points, r, px=2048, gain=1.0, turn=None):
-    """Flat textured support (label 2) so that photographs can be oriented; `turn` = 3x3 applied to its vertices."""
+    """Flat textured support (label 2), by which photographs can be oriented; `turn` = 3x3 matrix applied to its vertices."""
     w, h = size
     th, st = int(px * h / w), w / px
     t = 0.42 + 0.13 * fbm((th, px), st, feature, 30 * feature, rng, 1.1)
@@ -146,7 +146,7 @@ def local(X, Y, cx, cy, angle):
 
 
 def window(x, y, cx, cy, r):
-    """Slices of the height field within r of (cx, cy); None when there is nothing."""
+    """Slices of the height field within r of (cx, cy); None if they are empty."""
     j0, j1 = np.searchsorted(x, [cx - r, cx + r])
     i0, i1 = np.searchsorted(y, [cy - r, cy + r])
     return (slice(i0, i1), slice(j0, j1)) if i1 > i0 and j1 > j0 else None
@@ -171,7 +171,7 @@ def flat_square(z, plane, X, Y, step, name):
 
 
 def surface_nets(f, origin, step, newton=3):
-    """Closed mesh of the zero level of f[x, y, z] (negative inside), with vertices moved onto it and its gradient as normals."""
+    """Closed mesh of the zero level set of f[x, y, z] (negative inside). Vertices are moved onto the level set; normals are the gradient."""
     inside = f < 0
     shape = np.array(f.shape) - 1
     corners = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
@@ -219,11 +219,11 @@ def surface_nets(f, origin, step, newton=3):
 
 
 def close_holes(V, N, F):
-    """A fan over every open border, such as where the shape leaves the grid of `surface_nets`."""
+    """Closes every open border with a fan of triangles, for example where the shape leaves the grid of `surface_nets`."""
     directed = np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]]).astype(np.int64)
     code = lambda e: e[:, 0] * len(V) + e[:, 1]
     border = directed[~np.isin(code(directed), code(directed[:, ::-1]))]
-    following = dict(map(tuple, border[:, ::-1].tolist()))  # against the faces' own sense
+    following = dict(map(tuple, border[:, ::-1].tolist()))  # against the faces' orientation
     V, N, F = [V], [N], [F]
     while following:
         a, b = following.popitem()
@@ -242,7 +242,7 @@ def close_holes(V, N, F):
 
 
 def star_shaped(radius, n):
-    """Vertices, normals, faces and directions of the surface at radius(direction): a cube of n x n vertices a side, blown up."""
+    """Vertices, normals, faces and directions of the surface at radius(direction): a cube with n x n vertices on each side, inflated."""
     A, B = np.meshgrid(*[np.tan(np.linspace(-np.pi / 4, np.pi / 4, n))] * 2)
     o = np.ones_like(A)
     i = np.arange(n * n, dtype=np.int32).reshape(n, n)

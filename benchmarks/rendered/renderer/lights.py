@@ -36,7 +36,7 @@ def softbox(center, size, radiance, target=(0, 0, 0), up=(0, 1, 0)):
 
 
 def card(center, size, albedo, target=(0, 0, 0), up=(0, 0, 1)):
-    """White reflector card: no light of its own."""
+    """White reflector card, which emits no light."""
     return dict(
         type="rectangle",
         to_world=_facing(center, target, size, list(up)),
@@ -45,7 +45,7 @@ def card(center, size, albedo, target=(0, 0, 0), up=(0, 0, 1)):
 
 
 def room(radiance, height=256):
-    """Environment map; radiance(d) gives the light from the unit directions d (..., 3) of the world."""
+    """Environment map; radiance(d) is the radiance from the unit directions d (..., 3) in the world frame."""
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij")
     theta, phi = np.pi * v, 2 * np.pi * u
     d = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], -1)
@@ -54,7 +54,7 @@ def room(radiance, height=256):
 
 
 def rectangle_in_room(d, azimuth, elevation, width, height, soft=1.0):
-    """Weight 0..1 of a window-like rectangle (degrees) in directions d, with +z up."""
+    """Soft indicator (0..1) of a window-like rectangle (degrees) for the directions d, with +z up."""
     az = np.degrees(np.arctan2(d[..., 1], d[..., 0]))
     el = np.degrees(np.arcsin(np.clip(d[..., 2], -1, 1)))
     da = np.abs((az - azimuth + 180) % 360 - 180)

@@ -8,13 +8,13 @@ FULL_WELL_E, READ_NOISE_E, WHITE_DN = 20000.0, 8.0, 16383
 
 
 def polarized(S, angle_deg):
-    """What a polarizer at this angle lets through: 0 = image +x, positive = counter-clockwise as displayed."""
+    """Intensity behind a polarizer at this angle: 0 = image +x, positive = counter-clockwise as displayed."""
     a = np.radians(angle_deg)
     return 0.5 * (S[..., 0] + S[..., 1] * np.cos(2 * a) + S[..., 2] * np.sin(2 * a))
 
 
 def sensor_dn(I, rng, frames):
-    """I in units of the full well -> DN 0..16383 (uint16) of the average of `frames` exposures, in steps of 4 DN."""
+    """Sensor values, DN 0..16383 (uint16) in steps of 4 DN, of the average of `frames` exposures; I in units of the full well."""
     e, out = np.clip(I, 0, None) * FULL_WELL_E, 0
     if frames <= 4:
         for _ in range(frames):
@@ -36,7 +36,7 @@ def srgb8(I):
 
 
 def misregistration(rng, W, H, amplitude=1.0):
-    """2x3 matrices M_k: pixel of the reference (0 degrees) -> pixel of image k. Up to ~1.5 px, 0.03 degrees."""
+    """2x3 matrices M_k from pixels of the reference image (0 degrees) to pixels of image k. Up to ~1.5 px, 0.03 degrees."""
     out, phase = [], rng.uniform(0, 6.28)
     center = np.array([(W - 1) / 2, (H - 1) / 2])
     for angle in ANGLES:
@@ -60,7 +60,7 @@ def moved(I, M):
 
 
 def distort_maps(K, dist, W, H):
-    """For every pixel of the distorted image the pinhole pixel it shows (OpenCV k1, k2, p1, p2)."""
+    """For every pixel of the distorted image the coordinates of the pinhole image that it shows (OpenCV k1, k2, p1, p2)."""
     u, v = np.meshgrid(np.arange(W, dtype=np.float64), np.arange(H, dtype=np.float64))
     p = np.stack([u, v], -1).reshape(-1, 1, 2)
     if hasattr(cv2, "undistortPointsIter"):

@@ -11,12 +11,12 @@ from scipy.ndimage import binary_dilation
 
 
 def quantized(a, step):
-    """Rounded to a power-of-two step: compresses well."""
+    """Rounded to multiples of `step`, a power of two, so that the file compresses well."""
     return (np.round(np.asarray(a, np.float64) / step) * step).astype(np.float32)
 
 
 def npz(path, **arrays):
-    """np.load reads it as usual; LZMA members take a third less than np.savez_compressed."""
+    """Writes an npz file that np.load reads as usual; with LZMA it is a third smaller than from np.savez_compressed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as f:
         for name, a in arrays.items():
@@ -77,7 +77,7 @@ def mesh_ply(path, V, F):
 
 
 def truth(folder, t, S):
-    """gt/depth_normal_mask.npz, and gt/stokes.npz on the object and 8 px around it (0 elsewhere)"""
+    """Writes gt/depth_normal_mask.npz, and gt/stokes.npz on the object and 8 px around it (0 elsewhere)."""
     label = t["label"]
     near = binary_dilation(label == 1, iterations=8)
     npz(
@@ -92,7 +92,7 @@ def truth(folder, t, S):
 
 
 def components(folder, S, specular, diffuse, label):
-    """gt/components.npz: how much of the light, and of the polarization, comes from either kind of reflection."""
+    """Writes gt/components.npz: the shares of specular and diffuse reflection in the light and in the polarization."""
     ps, pd = (np.hypot(c[..., 1], c[..., 2]) for c in (specular, diffuse))
     share = specular[..., 0] / np.maximum(specular[..., 0] + diffuse[..., 0], 1e-9)
     obj = label == 1
@@ -107,7 +107,7 @@ def components(folder, S, specular, diffuse, label):
 
 
 def polarized_set(folder, name, S, frames, rng, M=None, jpeg=False):
-    """pol/NAME/pol_AAA.png (or .jpg); returns what meta.json says about it."""
+    """Writes pol/NAME/pol_AAA.png (or .jpg); returns the description of these images for meta.json."""
     for k, angle in enumerate(noise.ANGLES):
         I = noise.polarized(S, angle)
         dn = noise.sensor_dn(I if M is None else noise.moved(I, M[k]), rng, frames)
@@ -124,7 +124,7 @@ def polarized_set(folder, name, S, frames, rng, M=None, jpeg=False):
 
 
 def flat_patches(flats, t):
-    """Pixel boxes (corners included) inside the flat areas, with the plane that the truth has there."""
+    """Pixel boxes (corners included) inside the flat areas, with the plane fitted to the truth there."""
     cam, z, obj, out = t["cam"], t["z"], t["label"] == 1, []
     Xc = cam.rays().reshape(*z.shape, 3) * z[..., None]
     Xw = (Xc - cam.t) @ cam.R

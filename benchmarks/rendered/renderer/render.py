@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Render one scene: polarized stations, photographs, exact truth, a coarse cloud and station files. See README.md.
+"""Renders one scene: polarized stations, photographs, exact truth, a coarse cloud and station files. See README.md.
 
 python render.py --scene coin --style dev --out out/coin
 """
@@ -99,7 +99,7 @@ def main():
     scene, objects = tracer.build(sc)
     clock("scene", t)
 
-    rng = np.random.default_rng(seed + 1)  # poses do not depend on the geometry's random numbers
+    rng = np.random.default_rng(seed + 1)  # so that poses do not depend on the geometry
     specs = sc["stations"]
     cams = [cameras.station_camera(s, (W, H), rng) for s in specs]
     center = np.array(specs[0]["target"], float)
@@ -189,10 +189,10 @@ def main():
         cameras.write_colmap(out / "gt_sparse_distorted", model, {1: lens["views"], 2: lens["station"]})
 
     cloud_rng, gsd, mvs = np.random.default_rng(seed + 3), float(np.median([d["gsd"] for d in done])), sc["mvs"]
-    if several:  # every second photo
+    if several:  # points from every second photo
         seen = [(tracer.raycast(scene, objects, sc, c), g) for _, c, g in photos[::2]]
         shares = [mvs.get("share", 1 / 16)] * len(seen)
-    else:  # the station's view and two of the photos
+    else:  # points from the station's view and two of the photos
         seen = [(done[0]["truth"], done[0]["gray"])]
         seen += [
             (tracer.raycast(scene, objects, sc, photos[k][1]), photos[k][2]) for k in (0, len(photos) * 2 // 3 // 2)

@@ -1,10 +1,10 @@
-"""Station files for a rendered scene, so that it can be run as it is.
+"""Writes the station files of a rendered scene.
 
 station.toml         low noise (16 frames averaged), camera and coarse cloud given
 station_noisy.toml   single frames, misregistered, camera and coarse cloud given
-station_goodprior.toml, station_jpeg.toml, station_distorted.toml   where the scene has them
-station_photos.toml  low noise; the coarse surface is to be made from the photographs, scale from marked targets
-object.toml          of scenes with several stations
+station_goodprior.toml, station_jpeg.toml, station_distorted.toml   if the scene has these inputs
+station_photos.toml  low noise; Malus computes the coarse surface from the photographs, and the scale from marked targets
+object.toml          for scenes with several stations
 """
 
 import json
@@ -52,7 +52,7 @@ def _pinhole(c):
 
 
 def _scale(meta):
-    """Marked ends of the known distances, in every second photo, with 0.15 px of pointing error."""
+    """[[scale]] tables: the ends of the known distances marked in every second photo, with an error of 0.15 px."""
     rng, out = np.random.default_rng(7), []
     for name, distance in meta["scale_distances_mm"].items():
         ends = []
@@ -114,7 +114,7 @@ def write(
 
 
 def write_all(folder, meta):
-    """The station files that this folder's images allow."""
+    """Writes all station files for which this folder has the images."""
     base = folder / meta["shared_folder"]
     write(folder, meta, "station.toml")
     if "noisy_misreg" in meta["pol_sets"]:

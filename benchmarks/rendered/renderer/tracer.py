@@ -1,4 +1,4 @@
-"""Everything that needs Mitsuba: building a scene, Stokes images, photographs, exact depth and normals at the pixel centers."""
+"""All code that needs Mitsuba: builds a scene, renders Stokes images and photographs, computes exact depth and normals at the pixel centers."""
 
 import glob
 import os
@@ -17,13 +17,14 @@ mi.set_variant("llvm_ad_mono_polarized")
 
 
 def build(scene):
-    """Mitsuba scene and its mesh objects by name, from the description a scene function returns."""
+    """Mitsuba scene and its mesh objects by name, from the description that a scene function returns."""
     d, objects = dict(type="scene"), {}
     for m in scene["meshes"]:
         bsdf, uv, tex = dict(m["bsdf"]), m["uv"], m.get("tex")
         if m["label"] == 1 and bsdf["type"] == "pplastic":
-            # pplastic picks its lobe by specular mean / (specular mean + texture mean), whatever the Fresnel term: noisy on dark
-            # glossy objects. An unused half of the bitmap moves the mean so that the choice follows the lobes' energies. Unbiased.
+            # pplastic chooses the lobe with probability specular mean / (specular mean + texture mean), regardless of the Fresnel term.
+            # This is noisy on dark glossy objects. An unused half of the bitmap shifts the texture mean so that the probability
+            # follows the energies of the lobes. The result stays unbiased.
             T = tex if tex is not None else np.full((4, 4), m["albedo"], np.float32)
             share = 0.045 / (0.045 + 0.85 * float(T.mean()))
             tex = np.hstack([T, np.full_like(T, 2 * (1 / share - 1) - T.mean())])
@@ -90,7 +91,7 @@ def sensor(cam, sampler="multijitter"):
 
 
 def render_stokes(scene, cam, spp, depth=4, seed=0, hide=False, chunk=36):
-    """S0, S1, S2 (H, W, 3) and the standard error of each, from the spread between the chunks (right in its median over pixels)."""
+    """S0, S1, S2 (H, W, 3) and their standard errors from the spread between the chunks (only the median over pixels is unbiased)."""
     path = dict(type="path", max_depth=depth, rr_depth=99, hide_emitters=hide)
     it, view = mi.load_dict(dict(type="stokes", nested=path)), sensor(cam)
     n = max(2, round(spp / chunk))
@@ -112,7 +113,7 @@ def render_photo(scene, cam, spp, depth=3, seed=0, hide=False):
 
 
 def set_object(scene, what, value=None):
-    """Set every diffuse or specular reflectance of the object; returns what it was, to be put back."""
+    """Sets every diffuse or specular reflectance of the object to zero or to `value`; returns the earlier values, to restore them."""
     p, old = mi.traverse(scene), {}
     for key in p.keys():
         if key.startswith("object") and what in key and key.endswith(("value", "data")):
@@ -124,7 +125,7 @@ def set_object(scene, what, value=None):
 
 def raycast(scene, objects, description, cam):
     """Depth along the optical axis (float64), shading normal in the camera frame, label and material at the pixel centers.
-    Embree's fast mode lets ~1e-4 of the rays slip between tiny triangles: four rays within 0.002 px, and the nearest hit counts."""
+    In Embree's fast mode ~1e-4 of the rays slip between tiny triangles. So four rays within 0.002 px are cast, and the nearest hit counts."""
     meshes, dc = description["meshes"], cam.rays()
     dw, C, n = dc @ cam.R, cam.center, len(dc)
     face, nearest, which = np.zeros(n, np.int64), np.full(n, np.inf), np.full(n, -1)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Check Mitsuba's polarization against theory, and rendered folders against themselves.
+"""Checks Mitsuba's polarization against theory, and the consistency of rendered folders.
 
 python verify.py sphere             AoLP and DoLP of spheres (diffuse, glossy, metal) under a uniform sky; tilted metal plane
 python verify.py room               directions of the environment map
-python verify.py folder DIR [...]   do phase and degree of the true Stokes images agree with the true normals?
+python verify.py folder DIR [...]   agreement of phase and degree of the true Stokes images with the true normals
 """
 
 import json
@@ -35,7 +35,7 @@ def frame(rays, normal):
 
 
 def apart(a, b):
-    """Angle between directions that are known modulo 180 degrees."""
+    """Angle (degrees) between directions that are known modulo 180 degrees."""
     return np.degrees(np.abs((a - b + np.pi / 2) % np.pi - np.pi / 2))
 
 
@@ -116,7 +116,7 @@ def folder(path):
     t, az = frame(np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones((H, W))], -1), N)
     phase, rho = 0.5 * np.arctan2(S[2], S[1]), np.hypot(S[1], S[2]) / np.maximum(S[0], 1e-9)
     ok = g["mask"] & (t > np.radians(3)) & (t < np.radians(85)) & (S[0] > 1e-3)
-    z = g["depth"].astype(float)  # truth against itself: normals from depth
+    z = g["depth"].astype(float)  # consistency of the truth: normals computed from its depth
     P = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], -1)
     n = np.cross(np.gradient(P, axis=0), np.gradient(P, axis=1))
     n /= np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)

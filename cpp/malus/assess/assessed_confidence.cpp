@@ -61,6 +61,15 @@ void limit_by_holes(const DepthPrior& prior, Confidence& confidence) {
       "On " + share + " of the object the prior has no data of its own: the surface is an interpolation there.");
 }
 
+/// A visual hull shows no hollows, however well its outlines are known.
+void limit_by_hull(const DepthPrior& prior, Confidence& confidence) {
+  constexpr double many = 0.25;
+  if (!(prior.hull_fraction > many)) return;
+  confidence.limit(ConfidenceLevel::partial, "On " + percent(prior.hull_fraction) +
+                                                 " of the object the prior is the photos' visual hull, which the "
+                                                 "outlines give: it shows no hollows.");
+}
+
 /// Where polarization is not usable nothing is measured, and the surface continues that of the neighborhood.
 void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Context& context) {
   constexpr double nearly_all = 0.9;
@@ -104,7 +113,10 @@ Confidence assessed_confidence(const AssessInput& input, const Context& context)
   Confidence confidence = input.surface->confidence;
   limit_by_sigma(*input.surface, confidence, context);
   limit_by_distance(*input.surface, input.prior, confidence, context);
-  if (input.prior != nullptr) limit_by_holes(*input.prior, confidence);
+  if (input.prior != nullptr) {
+    limit_by_holes(*input.prior, confidence);
+    limit_by_hull(*input.prior, confidence);
+  }
   if (input.polarization != nullptr) limit_by_gaps(input, confidence, context);
   return confidence;
 }

@@ -127,8 +127,8 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
 }
 
 PriorFigures provenance_of(const DepthPrior& prior, double gsd) {
-  return {prior.points_total, prior.points_used,  prior.noise,          prior.noise / gsd,
-          prior.spacing_px,   prior.smoothing_px, prior.filled_fraction};
+  return {prior.points_total, prior.points_used,  prior.noise,           prior.noise / gsd,
+          prior.spacing_px,   prior.smoothing_px, prior.filled_fraction, prior.hull_fraction};
 }
 
 PolarizationFigures measure_polarization(const AssessInput& input, const Context& context) {

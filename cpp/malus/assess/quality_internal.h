@@ -83,9 +83,9 @@ struct HeightFigures {
 struct PriorFigures {
   double points_total = 0, points_used = 0;
   double noise = 0, noise_gsd = 0;
-  double spacing_px = 0, smoothing_px = 0, filled_fraction = 0;
+  double spacing_px = 0, smoothing_px = 0, filled_fraction = 0, hull_fraction = 0;
 
-  MALUS_FIELDS(points_total, points_used, noise, noise_gsd, spacing_px, smoothing_px, filled_fraction)
+  MALUS_FIELDS(points_total, points_used, noise, noise_gsd, spacing_px, smoothing_px, filled_fraction, hull_fraction)
 };
 
 /// Every figure of the report. Lengths without a suffix are in `unit`; NaN = could not be measured; an empty optional =

@@ -57,14 +57,10 @@ void label_regions(RefinementImage& image, const RefineInput& input, const std::
       return;
     case ReflectionChoice::labels:
       label_reflection(image, strips, context);
-      require_size(input.labels, image.camera.size, "the label image");
+      require_labels(input.labels, image.camera.size);
       for (int v = 0; v < input.labels.height(); ++v) {
         for (int u = 0; u < input.labels.width(); ++u) {
           const int label = input.labels(u, v);
-          if (label > 2) {
-            throw input_error("the label image has a pixel " + std::to_string(label) +
-                              ", expected 0 (not known), 1 (diffuse) or 2 (specular)");
-          }
           if (label == 1) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::diffuse);
           if (label == 2) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::specular);
         }

@@ -610,6 +610,10 @@ PhotosSpec read_photos(const TomlTable& table) {
       table.resolve("folder", table.required(table.text("folder"), "folder", "the folder of the photographs"));
   if (!std::filesystem::is_directory(spec.folder)) throw table.wrong("folder", "an existing folder");
   spec.exclude = table.texts("exclude").value_or(std::vector<std::string>{});
+  if (const auto masks = table.text("masks")) {
+    spec.masks = table.resolve("masks", *masks);
+    if (!std::filesystem::is_directory(*spec.masks)) throw table.wrong("masks", "an existing folder");
+  }
   if (const toml::table* camera = section(table, "camera")) {
     spec.camera = read_lens(TomlTable(*camera, table.file(), "[photos].camera", joined({lens_keys, brown_keys})));
   }

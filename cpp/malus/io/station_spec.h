@@ -128,9 +128,10 @@ using PriorFile = std::variant<CloudFile, MeshFile, DepthFile, Shape>;
 struct PhotosSpec {
   std::filesystem::path folder;
   std::vector<std::string> exclude;
+  std::optional<std::filesystem::path> masks;  ///< folder of the photos' masks
   std::optional<LensCamera> camera;
 
-  MALUS_FIELDS(folder, exclude, camera)
+  MALUS_FIELDS(folder, exclude, masks, camera)
 };
 
 /// A mark of one point in one photo, memory pixel convention.

@@ -116,16 +116,20 @@ void validate(const PolarizationState& state, const Image<float>* prior_normals,
   }
   if (options.reflection != ReflectionChoice::labels) return;
   if (labels == nullptr) throw input_error("optics.reflection = \"labels\" needs a label image");
-  require_size(*labels, state.size(), "label image");
-  for (const std::uint8_t value : *labels) {
+  require_labels(*labels, state.size());
+}
+
+}  // namespace
+
+void require_labels(const Image<std::uint8_t>& labels, const Size& size) {
+  require_size(labels, size, "label image");
+  for (const std::uint8_t value : labels) {
     if (value > 2) {
       throw input_error("label image has the value " + std::to_string(value) +
                         ", expected 0 (decide), 1 (diffuse) or 2 (specular)");
     }
   }
 }
-
-}  // namespace
 
 ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* camera, const Image<float>* prior_normals,
                              const Image<std::uint8_t>* labels, const ReflectionOptions& options,

@@ -36,6 +36,9 @@ inline ZenithFromDegree zenith_of(Reflection reflection, double degree, double e
   return reflection == Reflection::specular ? specular_zenith(degree, eta, branch) : diffuse_zenith(degree, eta);
 }
 
+/// Throws malus::Error unless a user's label image has this size and only 0 (decide), 1 (diffuse) and 2 (specular).
+void require_labels(const Image<std::uint8_t>& labels, const Size& size);
+
 /// Labels every valid pixel diffuse or specular and computes its zenith from the degree of polarization.
 ///
 /// camera: of the rasters; null = orthographic. prior_normals: 3 channels, unit, camera frame, towards the camera, NaN

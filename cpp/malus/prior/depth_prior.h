@@ -24,10 +24,11 @@ struct DepthPrior {
   /// Share of object pixels farther than 2 · spacing from every point; for rasters and photos, the share without a
   /// depth.
   double filled_fraction = 0;
+  double hull_fraction = 0;  ///< share of object pixels whose depth is that of the photos' visual hull
 
   // The maps are not listed.
   MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, shares_windows,
-               filled_fraction)
+               filled_fraction, hull_fraction)
 };
 
 /// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.
@@ -35,6 +36,8 @@ struct SweptDepth {
   Image<float> depth;  ///< z, NaN = none
   Image<float> sigma;  ///< standard deviation of each pixel
   Image<float> shape;  ///< z of the known surface that the sweep started from, over the whole object; empty = none
+  /// Where `depth` is none: front of the photos' visual hull and its standard deviation, NaN = none; empty = no hull.
+  Image<float> hull, hull_sigma;
 };
 
 }  // namespace malus

@@ -407,6 +407,37 @@ DepthPrior with_noise(DepthPrior prior) {
   return prior;
 }
 
+/// A sweep's depths, and those of the hull where it has none; NaN = none. Shares of the object's pixels.
+struct Measured {
+  Image<float> depth, sigma;
+  double filled_fraction = 0, hull_fraction = 0;
+};
+
+Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
+  const bool has_hull = swept.hull.count() != 0;
+  if (has_hull) {
+    require_size(swept.hull, mask.size(), "visual hull");
+    require_size(swept.hull_sigma, mask.size(), "standard deviation of the visual hull");
+  }
+  const auto usable = [](float z, float sigma) {
+    return std::isfinite(z) && z > 0 && std::isfinite(sigma) && sigma > 0;
+  };
+  Measured all{swept.depth, swept.sigma};
+  double object = 0, hull = 0, missing = 0;
+  for (std::size_t i = 0; i < mask.count(); ++i) {
+    const bool is_object = mask[i] != 0;
+    object += is_object;
+    if (usable(all.depth[i], all.sigma[i])) continue;
+    const bool of_hull = has_hull && usable(swept.hull[i], swept.hull_sigma[i]);
+    all.depth[i] = of_hull ? swept.hull[i] : std::numeric_limits<float>::quiet_NaN();
+    if (of_hull) all.sigma[i] = swept.hull_sigma[i];
+    (of_hull ? hull : missing) += is_object;
+  }
+  all.hull_fraction = hull / object;
+  all.filled_fraction = missing / object;
+  return all;
+}
+
 /// A shape divided by its mean depth (1 without a shape). A surface divided by this is flat where it follows the shape.
 Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
   Image<float> relative(mask.size(), 1, 1.0F);
@@ -492,14 +523,13 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
                          const PriorOptions& options, const Context& context) {
   const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
-  const Image<float>&depth = swept.depth, &sigma = swept.sigma;
-  require_size(depth, camera.size, "prior depth map");
-  require_size(sigma, camera.size, "standard deviation of the prior depth map");
+  require_size(swept.depth, camera.size, "prior depth map");
+  require_size(swept.sigma, camera.size, "standard deviation of the prior depth map");
+  const Measured measured = measured_depths(swept, mask);
+  const Image<float>&depth = measured.depth, &sigma = measured.sigma;
   const Image<float> shape = relative_shape(swept.shape, mask);
   constexpr int stride = 4;
-  const auto known = [&](int u, int v) {
-    return std::isfinite(depth(u, v)) && depth(u, v) > 0 && std::isfinite(sigma(u, v)) && sigma(u, v) > 0;
-  };
+  const auto known = [&](int u, int v) { return depth(u, v) > 0; };
   PointCloud cloud;
   for (int v = 0; v < depth.height(); v += stride) {
     for (int u = 0; u < depth.width(); u += stride) {
@@ -509,8 +539,9 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   }
   if (cloud.points.empty()) {
     throw data_error(
-        "the photos give no depth on the object: they agree nowhere; give a prior of another source, or photograph it "
-        "sharper, with more texture on or around it, and from more sides 25 to 40 degrees off the station");
+        "the photos give no depth on the object: they agree nowhere; give a prior of another source or masks of the "
+        "photos, or photograph it sharper, with more texture on or around it, and from more sides 25 to 40 degrees off "
+        "the station");
   }
   // Neighbors that share their windows agree even if they are wrong, so their agreement is no reason to keep a raised
   // part.
@@ -521,15 +552,8 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;
   });
-  // The cloud has only every fourth pixel, so the pixels without a depth are counted in the swept depth itself.
-  double object = 0, unseen = 0;
-  for (int v = 0; v < depth.height(); ++v) {
-    for (int u = 0; u < depth.width(); ++u) {
-      object += mask(u, v) != 0;
-      unseen += mask(u, v) != 0 && missing.at<std::uint8_t>(v, u) != 0;
-    }
-  }
-  prior.filled_fraction = unseen / object;
+  prior.filled_fraction = measured.filled_fraction;
+  prior.hull_fraction = measured.hull_fraction;
   prior.shares_windows = true;
   cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, depth.height(), [&](int v) {

@@ -12,7 +12,9 @@
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
+#include "malus/polarization/reflection.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"
@@ -113,9 +115,14 @@ struct PriorCheck {
   std::string operator()(const MeshFile& file) const {
     return "mesh of " + with_count(static_cast<double>(read_mesh(file.path, context).triangles.size()), "triangles");
   }
-  std::string operator()(const DepthFile&) const { return "depth map"; }
+  std::string operator()(const DepthFile& file) const {
+    return (*this)(read_float_raster(file.path, "prior depth map"));
+  }
   std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
-  std::string operator()(const Image<float>&) const { return "depth map"; }
+  std::string operator()(const Image<float>& depth) const {
+    require_size(depth, station.file.camera->lens.pinhole().size, "prior depth map");
+    return "depth map";
+  }
   std::string operator()(const SweptDepth&) const { return "depth map"; }
 };
 
@@ -171,6 +178,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = pixels_on(object);
   read_images(station, object, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
+  if (const auto& labels = station.file.optics.label_image; labels) require_labels(read_labels(*labels), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     if (!station.file.camera) {

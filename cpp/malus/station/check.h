@@ -38,8 +38,8 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
                                          const Context& context);
 
 /// Reads the inputs of a station as a run would, without computing anything: images (size, levels, saturation), mask,
-/// and the prior's points or mesh. A label image or depth map is not read. Throws what the run would throw for those
-/// inputs. Time and memory come from measured costs per pixel (docs/decisions/0003-cost-model.md).
+/// labels and the prior. Throws what the run would throw for those inputs. Time and memory come from measured costs per
+/// pixel (docs/decisions/0003-cost-model.md).
 Plan check_station(const Station& station, const Options& options, const Context& context);
 
 /// The plan as JSON.

@@ -133,7 +133,9 @@ Json StationInputs::prior() {
     Json operator()(const SweptDepth& swept) const {
       return {{"swept", inputs.array("swept depth", swept.depth)},
               {"sigma", inputs.array("swept sigma", swept.sigma)},
-              {"shape", inputs.array("swept shape", swept.shape)}};
+              {"shape", inputs.array("swept shape", swept.shape)},
+              {"hull", inputs.array("hull", swept.hull)},
+              {"hull_sigma", inputs.array("hull's sigma", swept.hull_sigma)}};
     }
   };
   Json json = std::visit(Source{*this}, station_.prior);

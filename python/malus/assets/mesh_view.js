@@ -1,4 +1,4 @@
-// The mesh viewer: the surface in space, with the same colors, to turn, move and zoom.
+// The mesh viewer: turns, moves and zooms the surface, with the same colors as the relighting view.
 (async () => {
   const root = document.getElementById('mesh');
   if (!root) return;
@@ -31,7 +31,7 @@
   texture.anisotropy = 4;
   texture.needsUpdate = true;
 
-  // The fused normals of every pixel shade the mesh, so that it shows what is finer than its triangles.
+  // The fused normals of all pixels shade the mesh, so that it shows detail finer than its triangles.
   async function normalMap() {
     const planes = await unpack.normals(relight, 'fused'), pixels = relight.width * relight.height;
     const half = THREE.DataUtils.toHalfFloat, values = new Uint16Array(4 * pixels);
@@ -55,7 +55,7 @@
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
   renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
   const radius = Math.hypot(...data.extent) / 2;
-  // Parallel rays: the scale bar holds at every depth.
+  // Orthographic projection: the scale bar is valid at every depth.
   const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -100 * radius, 100 * radius);
   const lamp = new THREE.DirectionalLight(0xffffff, 2.6);
   scene.add(new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
@@ -67,7 +67,7 @@
 
   function home() {
     const eye = new THREE.Vector3(...data.eye).normalize();
-    // A little from the side, so that the form shows.
+    // Seen slightly from the side, so that the relief is visible.
     eye.x += 0.35;
     eye.y += 0.22;
     camera.position.copy(eye.normalize().multiplyScalar(4 * radius));
@@ -84,7 +84,7 @@
     const size = renderer.getPixelRatio();
     if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
       renderer.setSize(w, h, false);
-      // The surface fills the view as the station sees it, and what is deep of it has room when it is turned.
+      // The surface fills the view as the station sees it, with room for its depth when it is turned.
       camera.top = 0.56 * Math.max(data.extent[1], data.extent[0] * h / w) + 0.2 * data.extent[2];
       camera.right = camera.top * w / h;
       [camera.left, camera.bottom] = [-camera.right, -camera.top];
@@ -121,7 +121,7 @@
   }
 
   canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
-  // As with the picture beside it, the wheel scrolls the page until the view has been chosen.
+  // As in the relighting view, the wheel scrolls the page until the view has the focus.
   canvas.addEventListener('wheel', event => {
     if (document.activeElement !== canvas && !event.ctrlKey) event.stopImmediatePropagation();
   }, {capture: true});

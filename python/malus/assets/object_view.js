@@ -1,4 +1,4 @@
-// The mesh of an object: to turn, zoom and light, with its color or with what was measured.
+// Viewer of an object's mesh: turns, zooms and lights it, in its own color or colored by measured values.
 (async () => {
   const root = document.getElementById('object');
   const canvas = root.querySelector('canvas'), control = name => root.querySelector(`[name=${name}]`);
@@ -10,7 +10,7 @@
   probe.getExtension('WEBGL_lose_context')?.loseContext();
 
   const data = unpack.block('object-data'), count = data.vertices;
-  // Planes of 16-bit numbers as the components of vertices.
+  // Vertices from planes of 16-bit numbers, one plane for each component.
   async function attribute(packed, Type, size, value) {
     const planes = await unpack.words(packed, Type), values = new Float32Array(size * count);
     for (let i = 0; i < count; ++i) {
@@ -18,7 +18,7 @@
     }
     return new THREE.BufferAttribute(values, size);
   }
-  // 8-bit sRGB as three.js wants colors: linear.
+  // 8-bit sRGB as linear colors, which three.js expects.
   const linear = value => Math.pow(value / 255, 2.2);
   const bytes = text => Uint8Array.from(atob(text), character => character.charCodeAt(0));
   const content = await new THREE.GLTFLoader().parseAsync(bytes(data.glb).buffer, '');
@@ -32,7 +32,7 @@
   const textures = {color: texture};
   if (data.albedo) {
     const albedo = new THREE.Texture(await createImageBitmap(new Blob([bytes(data.albedo)], {type: 'image/webp'})));
-    // As glTF's textures are: not turned over, colors in sRGB.
+    // As glTF defines textures: not flipped, colors in sRGB.
     albedo.flipY = false;
     albedo.colorSpace = THREE.SRGBColorSpace;
     albedo.needsUpdate = true;
@@ -46,7 +46,7 @@
   const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
   renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
   const radius = Math.hypot(...data.extent) / 2;
-  // Parallel rays: the scale bar holds at every depth.
+  // Orthographic projection: the scale bar is valid at every depth.
   const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -20 * radius, 20 * radius);
   camera.up.set(...data.up);
   const controls = new THREE.OrbitControls(camera, canvas);
@@ -71,7 +71,7 @@
       [camera.left, camera.bottom] = [-camera.right, -camera.top];
       camera.updateProjectionMatrix();
     }
-    // The lamp goes with the viewer, turned to the side and up.
+    // The lamp moves with the viewer, turned to the side and upwards.
     const side = Number(control('side').value), height = Number(control('height').value);
     const axis = k => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, k);
     lamp.position.copy(axis(2)).multiplyScalar(Math.cos(side) * Math.cos(height))
@@ -117,7 +117,7 @@
   root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
   root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
   root.querySelector('[data-act=reset]').addEventListener('click', home);
-  // The wheel scrolls the page until the view has been chosen.
+  // The wheel scrolls the page until the view has the focus.
   canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
   canvas.addEventListener('wheel', event => {
     if (document.activeElement !== canvas && !event.ctrlKey) event.stopImmediatePropagation();

@@ -37,7 +37,7 @@
       if (texel.a < 0.5) discard;
       vec2 xy = texture(normals, at).xy / normalScale;
       float z = sqrt(max(1.0 - dot(xy, xy), 0.0025));
-      // Slopes about the mean slope, so that exaggeration deepens the relief and does not tilt the object.
+      // Slopes minus the mean slope, so that exaggeration deepens the relief without tilting the object.
       vec2 slope = meanSlope + exaggeration * (xy / z - meanSlope);
       vec3 n = normalize(vec3(slope, 1.0));
       if (surface == 2) { result = vec4(n * 0.5 + 0.5, 1); return; }
@@ -147,7 +147,7 @@
     redraw();
   }
 
-  // Keeps the point under (x, y), in CSS pixels from the canvas's middle, where it is.
+  // Zooms about the point at (x, y), in CSS pixels from the center of the canvas.
   function zoomAt(factor, x = 0, y = 0) {
     const next = Math.min(40, Math.max(1, zoom * factor)), ratio = next / zoom;
     pan = [x + (pan[0] - x) * ratio, y + (pan[1] - y) * ratio];
@@ -203,7 +203,7 @@
     });
   }
   canvas.addEventListener('wheel', event => {
-    // The page scrolls until the picture has been chosen by a click or by the keyboard.
+    // The wheel scrolls the page until the picture has the focus, by a click or by the keyboard.
     if (document.activeElement !== canvas && !event.ctrlKey) return;
     event.preventDefault();
     zoomAt(Math.exp(-event.deltaY * 0.0015), ...fromMiddle(event));

@@ -1,4 +1,4 @@
-// A bar of a round length, 1, 2 or 5 times a power of ten; `size` is what a CSS pixel measures on the object, in meters.
+// Draws a scale bar of 1, 2 or 5 times a power of ten. `size`: size of a CSS pixel on the object, in meters.
 function drawScaleBar(element, size) {
   const most = 140 * size, power = 10 ** Math.floor(Math.log10(most));
   const length = [5, 2, 1].find(n => n * power <= most) * power;

@@ -1,4 +1,4 @@
-// Numbers as malus/viewer.py packs them: Deflate of byte planes of differences.
+// Unpacks numbers that malus/viewer.py has packed: differences of neighbors, split into byte planes, compressed with Deflate.
 const unpack = (() => {
   async function inflate(base64) {
     const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0));
@@ -39,7 +39,7 @@ const unpack = (() => {
     return image;
   }
 
-  // The page's JSON block of that id.
+  // The JSON block with this id in the page.
   const block = id => JSON.parse(document.getElementById(id).textContent);
   return {words, indices, normals, picture, block};
 })();

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._extra import extra
-from malus.object.views import LEAST_COSINE, Floats, View
+from malus.object.arrays import chunks
+from malus.object.views import LEAST_COSINE, Bools, Floats, View
 
 #: Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of them is wrong.
 _LEAST_FACING = 0.5
@@ -23,6 +24,8 @@ _WITNESSES, _OF_NEAREST, _WITNESS_GSD, _WITNESS_ACROSS_GSD = 2, 6, 4.0, 2.0
 _NEIGHBORS, _LEAST_TOGETHER = 8, 0.6
 #: A station's point is dropped if another station has a weight there that is larger by more than this factor.
 _SURER = 1.5
+#: About the largest sample of points in statistics: distances between stations, and whether a contour holds the whole object.
+_MOST_COMPARED = 1_000_000
 #: If less than this share of the stations' points in an image lie outside its contour, the contour holds the whole object there.
 _MOST_BESIDE = 0.01
 
@@ -34,24 +37,24 @@ class OrientedPoints:
     """
 
     points: Floats
-    normals: Floats
-    sigma: Floats
-    stations: NDArray[np.int64]
+    normals: NDArray[np.floating]
+    sigma: NDArray[np.floating]
+    stations: NDArray[np.integer]
 
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> OrientedPoints:
-        """Some of the points, by mask or number."""
+    def select(self, chosen: Bools | NDArray[np.integer] | slice) -> OrientedPoints:
+        """Some of the points, by mask, number or slice."""
         return OrientedPoints(self.points[chosen], self.normals[chosen], self.sigma[chosen], self.stations[chosen])
 
 
 def joined(parts: Sequence[OrientedPoints]) -> OrientedPoints:
-    """All points of several sets, in their order."""
+    """All points of several sets, in their order; 42 bytes each, as there may be tens of millions."""
     empty = OrientedPoints(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64))
     together = [empty, *parts]
     return OrientedPoints(
         np.concatenate([part.points for part in together]),
-        np.concatenate([part.normals for part in together]),
-        np.concatenate([part.sigma for part in together]),
-        np.concatenate([part.stations for part in together]),
+        np.concatenate([part.normals for part in together], dtype=np.float32),
+        np.concatenate([part.sigma for part in together], dtype=np.float32),
+        np.concatenate([part.stations for part in together], dtype=np.uint16, casting="unsafe"),
     )
 
 
@@ -60,7 +63,7 @@ class Agreement:
     """Distances of the other stations' surfaces from the surface of one station, along this station's normals.
 
     view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other station measured.
-    distances, expected: N each, every single distance and its standard deviation.
+    distances, expected: N each, single distances and their standard deviations; for a large station only those of every n-th pixel.
     """
 
     view: str
@@ -80,7 +83,7 @@ def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple
     """
     parts, doubted, agreements = [], [], []
     for view in views:
-        believed, doubtful, agreement = _mean_with_others(view, [other for other in views if other is not view])
+        believed, doubtful, agreement = _with_others(view, [other for other in views if other is not view])
         parts.append(believed)
         doubted.append(doubtful)
         agreements.append(agreement)
@@ -90,60 +93,89 @@ def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple
     return joined(parts), agreements
 
 
-def _usual_sigma(view: View) -> float:
-    """Median standard deviation of a station's usable pixels; the GSD if there are none."""
-    return float(np.median(view.sigma[view.usable])) if view.usable.any() else view.gsd
-
-
-def _mean_with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, OrientedPoints, Agreement]:
+def _with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, OrientedPoints, Agreement]:
     """Means at the trusted places of a view, means at places that it alone sees and at too flat an angle, and the agreement of the others."""
-    points, normals, sigma = (values[view.usable] for values in (view.points, view.normals, view.sigma))
-    cosine, usual = view.cosine[view.usable], _usual_sigma(view)
-    own = cosine / usual**2
-    total, best = own.copy(), own.copy()
-    moved = np.zeros(len(points))
-    cosines, stated = cosine.copy(), cosine / sigma**2
-    normal = normals * own[:, None]
-    seen = np.ones(len(points), np.int64)
-    squares, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
-    contradicted = np.zeros(len(points), bool)
-    distances, expected = [], []
-    for other in others:
-        at = other.meet(points)
-        facing = (at.normals * normals).sum(-1)
-        apart = (at.normals * (at.points - points)).sum(-1) / np.maximum(facing, _LEAST_FACING)
-        spread = np.hypot(sigma, at.sigma)
-        same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
-        others_usual = _usual_sigma(other)
-        near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, others_usual)), 2 * view.gsd))
-        # Another station may only exclude a point that it sees at a better angle.
-        contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > cosine)
-        weight = np.where(near, at.weight / others_usual**2, 0.0)
-        total += weight
-        moved += np.where(near, weight * apart, 0)
-        cosines += np.where(near, at.weight, 0)
-        stated += np.where(near, at.weight / at.sigma**2, 0)
-        normal += np.where(near[:, None], weight[:, None] * at.normals, 0)
-        best = np.maximum(best, weight)
-        seen += near
-        counted = same & (np.abs(apart) < 3 * _MOST_RATIO * spread)
-        squares += np.where(counted, (apart / spread) ** 2, 0)
-        count += counted
-        distances.append(apart[counted])
-        expected.append(spread[counted])
-    ratio = np.full(view.depth.shape, np.nan)
-    with np.errstate(invalid="ignore"):
-        ratio[view.usable] = np.sqrt(squares / np.where(count > 0, count, np.nan))
-    mean = OrientedPoints(
-        points + normals * (moved / total)[:, None],
-        normal / np.linalg.norm(normal, axis=1, keepdims=True),
-        np.sqrt(cosines / stated),
-        seen,
-    )
-    believed = (seen > 1) | (cosine > _LEAST_COSINE_ALONE)
-    kept = ~contradicted & (_SURER * own >= best)
-    agreement = Agreement(view.name, ratio, np.concatenate(distances or [[]]), np.concatenate(expected or [[]]))
-    return mean.select(kept & believed), mean.select(kept & ~believed), agreement
+    pixels = np.flatnonzero(view.usable)
+    every = max(1, len(pixels) // _MOST_COMPARED)
+    ratio = np.full(view.depth.size, np.nan)
+    believed, doubtful, apart, expected = [], [], [np.empty(0)], [np.empty(0)]
+    for rows in chunks(len(pixels)):
+        means = _Means.of(view, pixels[rows], others, every)
+        ratio[pixels[rows]] = means.ratio
+        believed.append(means.points.select(means.kept & means.believed))
+        doubtful.append(means.points.select(means.kept & ~means.believed))
+        apart += means.apart
+        expected += means.expected
+    agreement = Agreement(view.name, ratio.reshape(view.depth.shape), np.concatenate(apart), np.concatenate(expected))
+    return joined(believed), joined(doubtful), agreement
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Means of one view and the others at some of its pixels.
+
+    kept: no other view contradicts the point or sees it better. believed: another view sees it too, or this one at a steep enough angle.
+    ratio: as in `Agreement`. apart, expected: distances of the other surfaces and their standard deviations, one array for each view.
+    """
+
+    points: OrientedPoints
+    kept: Bools
+    believed: Bools
+    ratio: Floats
+    apart: list[Floats]
+    expected: list[Floats]
+
+    @staticmethod
+    def of(view: View, pixels: NDArray[np.int64], others: Sequence[View], every: int) -> _Means:
+        """The means at these pixels (flat indices). Single distances are kept at flat indices that are multiples of `every`."""
+        points = view.points_at(*np.unravel_index(pixels, view.depth.shape))
+        normals = view.normals.reshape(-1, 3)[pixels].astype(np.float64)
+        sigma, cosine = (values.ravel()[pixels].astype(np.float64) for values in (view.sigma, view.cosine))
+        usual = view.usual_sigma
+        own = cosine / usual**2
+        total, best = own.copy(), own.copy()
+        moved = np.zeros(len(points))
+        cosines, stated = cosine.copy(), cosine / sigma**2
+        normal = normals * own[:, None]
+        seen = np.ones(len(points), np.int64)
+        squares, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
+        contradicted = np.zeros(len(points), bool)
+        compared = pixels % every == 0
+        distances, expected = [], []
+        for other in others:
+            if not other.may_see(points):
+                continue
+            at = other.meet(points)
+            facing = (at.normals * normals).sum(-1)
+            apart = (at.normals * (at.points - points)).sum(-1) / np.maximum(facing, _LEAST_FACING)
+            spread = np.hypot(sigma, at.sigma)
+            same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
+            near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, other.usual_sigma)), 2 * view.gsd))
+            # Another station may only exclude a point that it sees at a better angle.
+            contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > cosine)
+            weight = np.where(near, at.weight / other.usual_sigma**2, 0.0)
+            total += weight
+            moved += np.where(near, weight * apart, 0)
+            cosines += np.where(near, at.weight, 0)
+            stated += np.where(near, at.weight / at.sigma**2, 0)
+            normal += np.where(near[:, None], weight[:, None] * at.normals, 0)
+            best = np.maximum(best, weight)
+            seen += near
+            counted = same & (np.abs(apart) < 3 * _MOST_RATIO * spread)
+            squares += np.where(counted, (apart / spread) ** 2, 0)
+            count += counted
+            distances.append(apart[counted & compared])
+            expected.append(spread[counted & compared])
+        with np.errstate(invalid="ignore"):
+            ratio = np.sqrt(squares / np.where(count > 0, count, np.nan))
+        mean = OrientedPoints(
+            points + normals * (moved / total)[:, None],
+            normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            np.sqrt(cosines / stated),
+            seen,
+        )
+        believed = (seen > 1) | (cosine > _LEAST_COSINE_ALONE)
+        return _Means(mean, ~contradicted & (_SURER * own >= best), believed, ratio, distances, expected)
 
 
 def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDArray[np.bool_]:
@@ -151,11 +183,21 @@ def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDAr
     if len(cloud.points) < _OF_NEAREST or not len(points.points):
         return np.zeros(len(points.points), bool)
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    away, nearest = spatial.cKDTree(cloud.points).query(points.points, _OF_NEAREST, workers=1)
-    across = ((cloud.points[nearest] - points.points[:, None]) * points.normals[:, None]).sum(-1)
-    parallel = (cloud.normals[nearest] * points.normals[:, None]).sum(-1) > _LEAST_FACING
-    witness = parallel & (away < _WITNESS_GSD * gsd) & (np.abs(across) < _WITNESS_ACROSS_GSD * gsd)
-    return np.asarray(witness.sum(1) >= _WITNESSES)
+    tree = spatial.cKDTree(cloud.points)
+    found = np.zeros(len(points.points), bool)
+    for rows in chunks(len(found)):
+        some = points.select(rows)
+        away, nearest = tree.query(some.points, _OF_NEAREST, workers=1)
+        across, parallel = _continued(some, cloud, nearest)
+        witness = parallel & (away < _WITNESS_GSD * gsd) & (np.abs(across) < _WITNESS_ACROSS_GSD * gsd)
+        found[rows] = witness.sum(1) >= _WITNESSES
+    return found
+
+
+def _continued(points: OrientedPoints, others: OrientedPoints, which: NDArray[np.int64]) -> tuple[Floats, Bools]:
+    """Distance of each point's neighbors (N×K, indices into `others`) from its tangent plane, and whether their normals agree with its own."""
+    across = ((others.points[which] - points.points[:, None]) * points.normals[:, None]).sum(-1)
+    return across, (others.normals[which] * points.normals[:, None]).sum(-1) > _LEAST_FACING
 
 
 def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: OrientedPoints) -> OrientedPoints:
@@ -166,10 +208,24 @@ def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: Ori
     too: correct points there repeat the stations' surface, all others are errors.
     """
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
+    whole = [_has_all(view, seen_points) for view in views]
+    free = np.zeros(len(cloud.points), bool)
+    for rows in chunks(len(free)):
+        free[rows] = _unseen(cloud.select(rows), views, whole)
+    if len(seen_points.points):
+        away = spatial.cKDTree(seen_points.points).query(cloud.points[free], workers=1)[0]
+        free[free] = away > _MOST_RATIO * cloud.sigma[free]
+    return cloud.select(free)
+
+
+def _unseen(cloud: OrientedPoints, views: Sequence[View], whole: Sequence[bool]) -> Bools:
+    """Which points of a cloud are on the object, and measured or excluded by no view. whole: whether each view's contour holds the object."""
     points, normals, sigma = cloud.points, cloud.normals, cloud.sigma
     free = np.ones(len(points), bool)
     votes = np.zeros(len(points), np.int64)
-    for view in views:
+    for view, has_all in zip(views, whole, strict=True):
+        if not view.may_see(points):
+            continue
         at = view.meet(points)
         spread = np.hypot(at.sigma, sigma)
         off = np.abs((at.normals * (at.points - points)).sum(-1))
@@ -178,18 +234,15 @@ def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: Ori
         free &= ~(seen & near & (off < 2 * _MOST_RATIO * spread)) & ~view.in_front(points, _MOST_RATIO)
         inside, within = view.placed(points)
         votes += np.where(within, 1, -1) * inside
-        if _has_all(view, seen_points):
+        if has_all:
             free &= within | ~inside
-    free &= votes > 0
-    if len(seen_points.points):
-        away = spatial.cKDTree(seen_points.points).query(points[free], workers=1)[0]
-        free[free] = away > _MOST_RATIO * sigma[free]
-    return cloud.select(free)
+    return np.asarray(free & (votes > 0))
 
 
 def _has_all(view: View, points: OrientedPoints) -> bool:
     """Whether the contour holds all of the object that the image shows. It does not if the station was to reconstruct a part only."""
-    inside, within = view.placed(points.points)
+    every = max(1, len(points.points) // _MOST_COMPARED)
+    inside, within = view.placed(points.points[::every])
     return bool((inside & ~within).sum() < _MOST_BESIDE * inside.sum())
 
 
@@ -198,11 +251,14 @@ def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
     if len(points.points) <= _NEIGHBORS:
         return points
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    near = spatial.cKDTree(points.points).query(points.points, _NEIGHBORS + 1, workers=1)[1][:, 1:]
-    parallel = (points.normals[near] * points.normals[:, None]).sum(-1) > _LEAST_FACING
-    across = ((points.points[near] - points.points[:, None]) * points.normals[:, None]).sum(-1)
-    together = parallel & (np.abs(across) < 2 * gsd)
-    return points.select(together.mean(1) >= _LEAST_TOGETHER)
+    tree = spatial.cKDTree(points.points)
+    good = np.zeros(len(points.points), bool)
+    for rows in chunks(len(good)):
+        some = points.select(rows)
+        near = tree.query(some.points, _NEIGHBORS + 1, workers=1)[1][:, 1:]
+        across, parallel = _continued(some, points, near)
+        good[rows] = (parallel & (np.abs(across) < 2 * gsd)).mean(1) >= _LEAST_TOGETHER
+    return points.select(good)
 
 
 def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from malus.albedo import albedo_of
 from malus.errors import DataError
+from malus.object.arrays import on_disk
 from malus.object.color import Paint
 from malus.object.meshing import ObjectMesh
-from malus.object.views import Floats, View
+from malus.object.views import Singles, View
 from malus.workspace import Workspace
 
 
@@ -22,14 +23,14 @@ class Albedos:
     """Linear images (H×W×C) of the stations whose albedo is known, each up to a factor. unknown: for all other stations the reason, by name."""
 
     views: Sequence[View]
-    images: Sequence[Floats]
+    images: Sequence[Singles]
     unknown: Mapping[str, str]
 
     @staticmethod
-    def of(views: Sequence[View], stations: Path) -> Albedos:
-        """The albedos of finished stations. stations: folder with their workspaces, by name."""
+    def of(views: Sequence[View], stations: Path, scratch: Path) -> Albedos:
+        """The albedos of finished stations. stations: folder with their workspaces, by name. scratch: folder for the images."""
         known: list[View] = []
-        images: list[Floats] = []
+        images: list[Singles] = []
         unknown: dict[str, str] = {}
         for view in views:
             try:
@@ -40,7 +41,7 @@ class Albedos:
                 continue
             known.append(view)
             # Pixels without a surface are never used, but NaN times zero weight would still make a sum NaN.
-            images.append(np.nan_to_num(albedo.astype(np.float64)))
+            images.append(on_disk(np.nan_to_num(albedo.astype(np.float32)), scratch / view.name))
         return Albedos(known, images, unknown)
 
     def paint(self, mesh: ObjectMesh) -> Paint | None:

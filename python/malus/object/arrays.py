@@ -1,4 +1,4 @@
-"""Arrays larger than memory: rows are appended to a file and handled in chunks."""
+"""Arrays larger than memory: kept in files and handled in chunks."""
 
 from __future__ import annotations
 
@@ -36,6 +36,14 @@ class GrowingArray:
         shape = (self.rows, self._columns) if self._columns else (self.rows,)
         # A file without bytes cannot be mapped.
         return np.memmap(self._path, self._kind, "r", shape=shape) if self.rows else np.empty(shape, self._kind)
+
+
+def on_disk(values: NDArray[Any], path: Path) -> NDArray[Any]:
+    """The same array, mapped from a new file, so that the system may drop its pages from memory."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.ascontiguousarray(values).tofile(path)
+    return np.memmap(path, values.dtype, "r", shape=values.shape)
 
 
 def chunks(count: int) -> list[slice]:

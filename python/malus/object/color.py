@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
-from malus.object.views import LEAST_COSINE, Floats, View
+from malus.object.views import LEAST_COSINE, Floats, Singles, View
 
 #: A station does not see places farther than this many GSD in front of or behind its surface.
 _NEAR_GSD = 4.0
@@ -46,14 +46,14 @@ class Paint:
     """
 
     views: Sequence[View]
-    images: Sequence[Floats]
+    images: Sequence[Singles]
     gains: Floats
     white: float
     missing: Floats
     lent: _Lent | None
 
     @staticmethod
-    def of(views: Sequence[View], points: Floats, normals: Floats, images: Sequence[Floats] | None = None) -> Paint:
+    def of(views: Sequence[View], points: Floats, normals: Floats, images: Sequence[Singles] | None = None) -> Paint:
         """Gains, white and colors estimated on a surface with these points and normals (N×3). images: by default the stations' photographs."""
         pictures = [view.color for view in views] if images is None else images
         every = max(1, len(points) // _SAMPLE)
@@ -91,12 +91,14 @@ class Paint:
         return srgb_bytes(self.linear(points, normals))
 
 
-def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequence[Floats]) -> tuple[Floats, Floats]:
+def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequence[Singles]) -> tuple[Floats, Floats]:
     """Weight (V×N) and linear color (V×N×C) of places in each view."""
     channels = max(image.shape[2] for image in images)
     weights = np.zeros((len(views), len(points)))
     colors = np.zeros((len(views), len(points), channels))
     for k, view in enumerate(views):
+        if not view.may_see(points):
+            continue
         at = view.meet(points)
         facing = view.facing(points, normals)
         near = np.abs((at.normals * (at.points - points)).sum(1)) < _NEAR_GSD * view.gsd

@@ -44,7 +44,7 @@ class Object:
     reference: Path | None = None
     register: bool = True
     shared: Mapping[str, Any] | None = None
-    """`photos`, `scale` and `control` that all stations share, as `Station.describe` says them; None if the stations stand in one frame already."""
+    """`photos`, `scale` and `control` that all stations share, as in `Station.describe`; None if the stations are already in one frame."""
 
     @property
     def name(self) -> str:
@@ -191,8 +191,8 @@ def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, An
     for path, station in stations.items():
         if station.get("photos", own["photos"]) != own["photos"]:
             raise InputError(
-                f"{path}: [photos] are not those of {file}, which count for all stations; expected the same folder, exclude and "
-                "camera"
+                f"{path}: [photos] are not those of {file}, which count for all stations; expected the same folder, "
+                "exclude, masks and camera"
             )
         marked = [f"[[control]] {point['name']} with marks" for point in station["control"] if point["marks"]]
         if given := ["[[scale]]"] * bool(station["scale"]) + marked:

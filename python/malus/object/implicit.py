@@ -10,18 +10,21 @@ exactly.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from malus import _core
 from malus._extra import extra
+from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
+from malus.object.arrays import chunks
 from malus.object.joining import Piece
 from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats
+from malus.threads import ALL_CORES
 
 Ints = NDArray[np.int64]
 
@@ -39,9 +42,11 @@ _LEAST_WEIGHT = 0.3
 _BESIDE_CELLS = 10
 #: Normal and standard deviation of a vertex are means over this many nearest points.
 _NEIGHBORS = 4
-#: Vertices on the sides of blocks are identified by coordinates rounded to a cell divided by this.
-_PARTS = 256
-_DIGITS = 21  # bits for a coordinate
+#: Bits that identify a vertex on a side of a block: it lies on an edge of the lattice, which a node (x, y, z) and an axis name, at a
+#: fraction of the edge.
+_NODE_BITS, _AXIS_BITS, _FRACTION_BITS = 17, 2, 8
+#: The nodes of the lattice that these bits can name, along each axis.
+MOST_CELLS = 1 << _NODE_BITS
 
 
 @dataclass(frozen=True)
@@ -61,10 +66,13 @@ class PointBlocks:
 
     def __init__(self, points: OrientedPoints, lattice: Lattice) -> None:
         self.lattice = lattice
-        blocks = np.floor(lattice.indices(points.points) / BLOCK_CELLS).astype(np.int64)
-        order = np.lexsort(blocks.T[::-1])
+        number = np.empty(len(points.points), np.int64)
+        for rows in chunks(len(number)):
+            number[rows] = _node_number(np.floor(lattice.indices(points.points[rows]) / BLOCK_CELLS).astype(np.int64))
+        order = np.argsort(number, kind="stable")
         self.points = points.select(order)
-        self.blocks, starts = np.unique(blocks[order], axis=0, return_index=True)
+        numbers, starts = np.unique(number[order], return_index=True)
+        self.blocks = np.stack([numbers >> shift & MOST_CELLS - 1 for shift in (2 * _NODE_BITS, _NODE_BITS, 0)], 1)
         ends = [*starts[1:].tolist(), len(order)]
         self._where = {
             tuple(block): range(*ends_)
@@ -87,63 +95,43 @@ class PointBlocks:
         return self.points.select(some[near])
 
 
-def reach_of(points: Floats, cell: float) -> Floats:
+def reach_of(points: Floats, cell: float, threads: int) -> Floats:
     """Radius of each point's weight function (N): in proportion to the distance to its sixth neighbor, within limits in cells."""
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     if len(points) <= _SPACING_NEIGHBOR:
         return np.full(len(points), _REACH_CELLS * cell)
-    spacing = spatial.cKDTree(points).query(points, _SPACING_NEIGHBOR + 1, workers=1)[0][:, -1]
+    spacing = spatial.cKDTree(points).query(points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
     return np.asarray(np.clip(_REACH_SPACINGS * spacing, _REACH_CELLS * cell, MOST_REACH_CELLS * cell))
 
 
 def distance_field(
-    points: OrientedPoints, reach: Floats, lattice: Lattice, block: tuple[int, int, int]
+    points: OrientedPoints, reach: Floats, lattice: Lattice, block: tuple[int, int, int], threads: int
 ) -> NDArray[np.float32]:
     """Signed distance in cells, positive outside, at the nodes of a block (side BLOCK_CELLS + 1); NaN away from the points."""
-    # Coordinates and order of the points do not depend on the block: sums in neighboring blocks are then equal to the last bit.
-    at = lattice.indices(points.points)
-    nearest = np.rint(at)
-    far = reach / lattice.cell
-    widest = math.ceil(far.max(initial=0))
-    local = nearest.astype(np.int64) - np.array(block) * BLOCK_CELLS
-    some = np.flatnonzero(((local >= -widest) & (local <= BLOCK_CELLS + widest)).all(1))
-    some = some[np.lexsort(at[some].T)]
-    off, normals, far = (at - nearest)[some].T, points.normals[some], far[some]
-    # The volume is padded by the largest radius, so that nodes need no bounds check.
-    side = BLOCK_CELLS + 1 + 4 * widest
-    weights, sums = np.zeros(side**3), np.zeros(side**3)
-    strides = np.array([side**2, side, 1])
-    place = ((local[some] + 2 * widest) * strides).sum(1)
-    square, along = (off**2).sum(0), (off * normals.T).sum(0)
-    for step in itertools.product(range(-widest, widest + 1), repeat=3):
-        # A point is at most .87 cells from its nearest node, so at most that much nearer to a node than the step's length.
-        some = np.flatnonzero(far > math.hypot(*step) - 0.87)
-        x, y, z = off[:, some]
-        apart = square[some] - 2 * (x * step[0] + y * step[1] + z * step[2]) + sum(s * s for s in step)
-        share = np.sqrt(np.maximum(apart, 0)) / far[some]
-        weight = np.where(share < 1, (1 - share) ** 4 * (4 * share + 1), 0)  # Wendland: smooth, and zero at the reach
-        x, y, z = normals.T[:, some]
-        node = place[some] + int(np.dot(step, strides))
-        np.add.at(weights, node, weight)
-        np.add.at(sums, node, weight * (x * step[0] + y * step[1] + z * step[2] - along[some]))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        field = np.where(weights > _LEAST_WEIGHT, sums / weights, np.nan).reshape(side, side, side)
-    inner = slice(2 * widest, 2 * widest + BLOCK_CELLS + 1)
-    return np.asarray(field[inner, inner, inner], np.float32)
+    return _core.tangent_plane_mean(
+        lattice.indices(points.points), points.normals.astype(np.float64), reach / lattice.cell,
+        [BLOCK_CELLS * k for k in block], BLOCK_CELLS + 1, _LEAST_WEIGHT, threads,
+    )  # fmt: skip
 
 
-def pieces(points: OrientedPoints, cell: float) -> Iterator[Piece]:
+def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Iterator[Piece]:
     """The surface through the points on a lattice of this cell size, one piece for each block, x ascending; `joined_mesh` joins them.
 
-    Vertices on the side between two blocks are in both pieces.
+    Vertices on the side between two blocks are in both pieces. DataError if the points spread over more than MOST_CELLS cells.
     """
     measure = extra("skimage.measure", "scikit-image", "the surface of an object", "object")
+    across = float((points.points.max(0) - points.points.min(0)).max()) / cell
+    if across + 2 * (_BESIDE_CELLS + BLOCK_CELLS) > MOST_CELLS:
+        raise DataError(
+            f"the points of the object spread over {across:.0f} cells of {cell:g}, expected at most {MOST_CELLS}: "
+            "are all stations and clouds in one frame and unit?"
+        )
     blocks = PointBlocks(points, Lattice(points.points.min(0) - _BESIDE_CELLS * cell, cell))
     for block in blocks.to_march():
         near = blocks.around(block)
         if len(near.points) <= _NEIGHBORS:
             continue
-        field = distance_field(near, reach_of(near.points, cell), blocks.lattice, block)
+        field = distance_field(near, reach_of(near.points, cell, threads), blocks.lattice, block, threads)
         known = field[np.isfinite(field)]
         if not len(known) or known.min() >= 0 or known.max() <= 0:
             continue
@@ -155,23 +143,29 @@ def pieces(points: OrientedPoints, cell: float) -> Iterator[Piece]:
             whole = at[used].astype(np.float64) + np.array(block) * BLOCK_CELLS
             vertices = blocks.lattice.origin + cell * whole
             yield Piece(
-                _with_means(vertices, renumbered.reshape(-1, 3), near, cell),
+                _with_means(vertices, renumbered.reshape(-1, 3), near, cell, threads),
                 _seam(at[used], whole),
-                (block[0] * BLOCK_CELLS * _PARTS) << 2 * _DIGITS,
+                int(_node_number(np.array([[block[0] * BLOCK_CELLS, 0, 0]]))[0]) << _AXIS_BITS + _FRACTION_BITS,
             )
 
 
 def _seam(at: NDArray[np.float32], whole: Floats) -> Ints:
     """A number for each vertex on a side of its block, the same in the neighboring block and growing with x; -1 for all other vertices."""
-    parts = np.rint(whole * _PARTS).astype(np.int64)
-    number = (parts[:, 0] << 2 * _DIGITS) + (parts[:, 1] << _DIGITS) + parts[:, 2]
-    return np.where(((at == 0) | (at == BLOCK_CELLS)).any(1), number, -1)
+    parts = np.rint(whole * (1 << _FRACTION_BITS)).astype(np.int64)
+    node, fraction = np.divmod(parts, 1 << _FRACTION_BITS)
+    edge = (_node_number(node) << _AXIS_BITS) + fraction.argmax(1)
+    return np.where(((at == 0) | (at == BLOCK_CELLS)).any(1), (edge << _FRACTION_BITS) + fraction.max(1), -1)
 
 
-def _with_means(vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float) -> ObjectMesh:
+def _node_number(node: Ints) -> Ints:
+    """One number for each node or block (N×3), which grows with x."""
+    return np.asarray((((node[:, 0] << _NODE_BITS) + node[:, 1]) << _NODE_BITS) + node[:, 2])
+
+
+def _with_means(vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float, threads: int) -> ObjectMesh:
     """The mesh with normals and standard deviations: means over the nearest points, weighted by distance."""
     spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    away, near = spatial.cKDTree(points.points).query(vertices, _NEIGHBORS, workers=1)
+    away, near = spatial.cKDTree(points.points).query(vertices, _NEIGHBORS, workers=threads)
     share = 1 / (away**2 + cell**2)
     normals = (share[..., None] * points.normals[near]).sum(1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

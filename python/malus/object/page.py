@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
 from malus import _core
 from malus._files import replacing, write_text
 from malus.lengths import scale_bar, shown, sides
 from malus.object.agreement import Agreement
+from malus.object.arrays import chunks
 from malus.object.glb import encoded, glb
 from malus.object.meshing import ObjectMesh
 from malus.object.reference import Comparison
@@ -27,8 +29,8 @@ from malus.pages import template
 from malus.units import METERS
 from malus.viewer import base64_text, pack
 
-#: Longest side of the texture in the page.
-_TEXTURE_SIDE = 2048
+#: Longest sides of the texture and of a station's map in the page (pixels).
+_TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
 #: Distances of this many standard deviations or more have the last color of the map.
 _MOST_RATIO = 4.0
 #: Gray value of pixels without data, and the margin that is left around the pixels with data, as a share of their extent.
@@ -67,7 +69,10 @@ def write_distances(
     for view in views:
         path = folder / f"{view.name}.png"
         shown = np.full(view.depth.shape, np.nan)
-        shown[view.usable] = distances[find(view.points[view.usable])] if view.usable.any() else []
+        pixels = np.nonzero(view.usable)
+        for some in chunks(len(pixels[0])):
+            rows, columns = (places[some] for places in pixels)
+            shown[rows, columns] = distances[find(view.points_at(rows, columns))]
         with replacing(path) as temporary:
             Image.fromarray(_colors_of_distances(shown, gsd)).save(temporary)
         paths.append(path)
@@ -144,16 +149,18 @@ def _maps(folder: Path, quality: Mapping[str, Any]) -> dict[str, _Map]:
 
 
 def _map(path: Path, gsd: float, unit: str) -> _Map:
-    with Image.open(path) as image:
+    with PngImageFile(path) as image:  # Image.open refuses maps of more than 179 megapixels
         colors = np.asarray(image)
     rows, columns = (np.nonzero((colors != _NOTHING).any(axis=(2, axis)))[0] for axis in (1, 0))
     if len(rows):
         colors = colors[_with_room(rows, colors.shape[0]), _with_room(columns, colors.shape[1])]
-    height, width = colors.shape[:2]
-    length, label = scale_bar(width * gsd, unit)
+    across = colors.shape[1] * gsd
+    length, label = scale_bar(across, unit)
     content = io.BytesIO()
-    Image.fromarray(colors).save(content, "PNG")
-    return _Map(base64_text(content.getvalue()), width, height, 100 * length / (width * gsd), label)
+    picture = Image.fromarray(colors)
+    picture.thumbnail((_MAP_SIDE, _MAP_SIDE))
+    picture.save(content, "PNG")
+    return _Map(base64_text(content.getvalue()), *picture.size, 100 * length / across, label)
 
 
 def _with_room(places: NDArray[np.intp], size: int) -> slice:

@@ -76,8 +76,9 @@ def place(reference: Reference, views: Sequence[View]) -> registration.Placement
     scan = reference.points[:: max(1, len(reference.points) // _REFERENCE_POINTS)]
     failures: list[DataError] = []
     for view in sorted(views, key=lambda view: -int(view.usable.sum()))[:_MOST_STATIONS]:
-        points = view.points[view.usable]
-        points = points[:: max(1, len(points) // _SURFACE_POINTS)]
+        rows, columns = np.nonzero(view.usable)
+        some = slice(None, None, max(1, len(rows) // _SURFACE_POINTS))
+        points = view.points_at(rows[some], columns[some])
         try:
             return registration.place_reference(points, view.eye - points.mean(0), scan)
         except DataError as error:

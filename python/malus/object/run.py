@@ -33,7 +33,7 @@ from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
 from malus.object.reference import Comparison
 from malus.object.sharpening import Phases, sharpened, telling
-from malus.object.views import Floats, View, load_view, sees
+from malus.object.views import Floats, View, load_view, sees, stored
 from malus.photogrammetry import exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
@@ -213,46 +213,48 @@ def _fuse(
     (folder / "albedo.glb").unlink(missing_ok=True)
     for left in (folder / "levels", folder / "agreement", folder / "reference", *folder.glob(".mesh-*")):
         shutil.rmtree(left, ignore_errors=True)
-    say(0.0, "reading the stations")
-    views = [
-        load_view(outcome["station"], folder.parent / "stations" / outcome["station"], thing.max_sigma_gsd)
-        for outcome in done
-    ]
-    gsd = float(np.median([view.gsd for view in views]))
-    say(0.1, "combining what stations see")
-    # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
-    agreements = agreement.combine(views)[1]
-    phases = [Phases.of(Workspace(folder.parent / "stations" / view.name)) for view in views]
-    told = telling(views, phases)
-    views = sharpened(views, told)
-    clouds = _clouds(thing, done, folder.parent)
-    points, _ = agreement.combine(views, agreement.joined(clouds))
-    stereo = [agreement.unseen_stereo(cloud, views, points) for cloud in clouds]
-    everything = agreement.without_outliers(agreement.joined([points, *stereo]), gsd)
-    say(0.3, f"a mesh of {len(everything.points)} points")
-    with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as scratch:
-        mesh = joined_mesh(pieces(everything, gsd), Path(scratch) / "open", thing.max_sigma_gsd * gsd)
+    with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as temporary:
+        scratch = Path(temporary)
+        say(0.0, "reading the stations")
+        views = [
+            stored(load_view(name, folder.parent / "stations" / name, thing.max_sigma_gsd), scratch / "views" / name)
+            for name in (outcome["station"] for outcome in done)
+        ]
+        gsd = float(np.median([view.gsd for view in views]))
+        say(0.1, "combining what stations see")
+        # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
+        agreements = agreement.combine(views)[1]
+        phases = [
+            Phases.of(Workspace(folder.parent / "stations" / view.name), scratch / "phases" / view.name)
+            for view in views
+        ]
+        told = telling(views, phases)
+        views = [stored(view, scratch / "sharpened" / view.name) for view in sharpened(views, told)]
+        everything = _all_points(views, _clouds(thing, done, folder.parent), gsd)
+        say(0.3, f"a mesh of {len(everything.points)} points")
+        mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
         if thing.closed:
             mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1))
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
-        simpler = _simpler(thing, mesh, everything, gsd, Path(scratch))
-        albedos = Albedos.of(views, folder.parent / "stations")
+        simpler = _simpler(thing, mesh, everything, gsd, scratch, threads)
+        albedos = Albedos.of(views, folder.parent / "stations", scratch / "albedo")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
-        coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, Path(scratch))
+        coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, scratch)
         files, levels = write_levels(folder, baked, thing.unit, thing.name)
         comparison, compared = _compared(thing, mesh, views, gsd, threads)
         files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
+        figures = mesh_figures(mesh, gsd, thing.closed)
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
             "stations": _station_figures(outcomes, views, agreements, coverage),
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
-            "mesh": mesh_figures(mesh, gsd), "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
+            "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, mesh, thing, folder.parent, compared),
+            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, figures["closed"], thing, folder.parent, compared),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
@@ -261,6 +263,13 @@ def _fuse(
         quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
         _require_unchanged(thing, outcomes, frame, folder, key)
         write_record(folder / "quality.json", quality)
+
+
+def _all_points(views: Sequence[View], clouds: Sequence[OrientedPoints], gsd: float) -> OrientedPoints:
+    """Points of the object's surface: means over the stations, and points of stereo where no station measured."""
+    points, _ = agreement.combine(views, agreement.joined(clouds))
+    stereo = [agreement.unseen_stereo(cloud, views, points) for cloud in clouds]
+    return agreement.without_outliers(agreement.joined([points, *stereo]), gsd)
 
 
 def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:
@@ -275,12 +284,17 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
         raise InputError(f"{thing.reference}: was changed while the surface was made; run again")
 
 
-def _simpler(thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path) -> ObjectMesh | None:
+def _simpler(
+    thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path, threads: int
+) -> ObjectMesh | None:
     """The same surface on a coarser lattice, to simplify from if the mesh is too large to be simplified at once; else None."""
     if thing.closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY:
         return None
-    cell = gsd * math.sqrt(len(mesh.triangles) / _MOST_TO_SIMPLIFY)
-    return joined_mesh(pieces(points, cell), scratch / "coarse", thing.max_sigma_gsd * gsd)
+    coarser = math.sqrt(len(mesh.triangles) / _MOST_TO_SIMPLIFY)
+    # As many points per cell as on the fine lattice. A random choice leaves them equally dense in all directions.
+    chosen = np.random.default_rng(0).random(len(points.points)) < 1 / coarser**2
+    coarse = pieces(points.select(chosen), coarser * gsd, threads)
+    return joined_mesh(coarse, scratch / "coarse", thing.max_sigma_gsd * gsd)
 
 
 def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[OrientedPoints]:
@@ -365,7 +379,8 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, thing: Object, scrat
         seen += by.sum(1)
         alone += (by & (by.sum(0) == 1)).sum(1)
     # Coordinates far from the origin need more than single precision.
-    far = np.abs(mesh.vertices).max() > 1e4 * np.ptp(mesh.vertices, axis=0).max() / 1e3
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    far = np.maximum(-low, high).max() > 1e4 * (high - low).max() / 1e3
     values: dict[str, tuple[NDArray[Any], str]] = {
         name: (mesh.vertices[:, axis], "f8" if far else "f4") for axis, name in enumerate(("x", "y", "z"))
     }
@@ -386,13 +401,13 @@ def is_closed(triangles: NDArray[np.int64]) -> bool:
     return bool((there[1:] != there[:-1]).all() and (there == back).all())
 
 
-def mesh_figures(mesh: ObjectMesh, gsd: float) -> dict[str, Any]:
+def mesh_figures(mesh: ObjectMesh, gsd: float, wanted_closed: bool) -> dict[str, Any]:
     """Size of the mesh, whether it is closed, how much of it was measured and how well."""
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
-        # A mesh this large is taken to have open borders, without a check.
-        "closed": len(mesh.triangles) <= _MOST_TO_SIMPLIFY and is_closed(mesh.triangles),
+        # The check takes the whole mesh into memory. Closing does so, too; a large mesh with open borders stays on disk.
+        "closed": (wanted_closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY) and is_closed(mesh.triangles),
         "measured_fraction": float(mesh.measured.mean()),
         "sigma_median_gsd": float(np.median(mesh.sigma[mesh.measured]) / gsd) if mesh.measured.any() else None,
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
@@ -424,7 +439,7 @@ def _station_figures(
 def _warnings(
     outcomes: Sequence[Outcome],
     found: Sequence[str],
-    mesh: ObjectMesh,
+    closed: bool,
     thing: Object,
     output: Path,
     compared: Mapping[str, Any] | None,
@@ -441,7 +456,7 @@ def _warnings(
             continue
         own = Workspace(output / "stations" / name).quality["warnings"]
         warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
-    if thing.closed and not is_closed(mesh.triangles):
+    if thing.closed and not closed:
         warnings.append("object: the mesh was to be closed, but it has open edges")
     if compared is not None and compared["status"] != "done":
         warnings.append(f"object: is not compared with {compared['file']}: {compared['status']}")

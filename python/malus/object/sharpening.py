@@ -9,15 +9,17 @@ that as many normals as possible lie in their planes. This is done in tiles, sin
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from malus._extra import extra
-from malus.object.views import LEAST_COSINE, Bools, Floats, View
+from malus.object.arrays import on_disk
+from malus.object.views import LEAST_COSINE, Bools, Floats, Singles, View
 from malus.workspace import Workspace
 
 Ints = NDArray[np.int64]
@@ -34,6 +36,8 @@ _ROBUST = 2.0
 _LEAST_DEGREE, _CLEARER = 0.003, 2.0
 #: A station with a smaller share of clear phases is not used: 59 % of phases that are unrelated to the surface are clear.
 _LEAST_CLEAR = 0.7
+#: About the largest sample of phases that decide it.
+_MOST_ASKED = 1_000_000
 #: Side of a tile, and the margin about it (pixels).
 _TILE, _BESIDE = 512, 32
 #: Gauss–Newton steps; tolerance and most iterations of the linear solver.
@@ -48,15 +52,14 @@ _CORNERS = ((0, 0, -0.5, -0.5), (0, 1, 0.5, -0.5), (1, 0, -0.5, 0.5), (1, 1, 0.5
 class Phases:
     """Polarization of a station: degree times cosine and sine of twice the phase, 2×H×W; zero where it is not known."""
 
-    maps: Floats
+    maps: Singles
 
     @staticmethod
-    def of(workspace: Workspace) -> Phases:
-        """The phases of a finished workspace."""
-        degree, phase = (
-            workspace.raster(f"polarization/{name}.tif").astype(np.float64) for name in ("degree", "phase")
-        )
-        return Phases(np.nan_to_num(np.stack([degree * np.cos(2 * phase), degree * np.sin(2 * phase)])))
+    def of(workspace: Workspace, path: Path) -> Phases:
+        """The phases of a finished workspace. path: a new file for the maps."""
+        degree, phase = (workspace.raster(f"polarization/{name}.tif") for name in ("degree", "phase"))
+        maps = np.nan_to_num(np.stack([degree * np.cos(2 * phase), degree * np.sin(2 * phase)]))
+        return Phases(on_disk(maps.astype(np.float32), path))
 
     def planes(self, view: View, points: Floats) -> tuple[Floats, Floats]:
         """Degree (N) of the light that comes from world points (N×3), and the unit normals (2×N×3) of the planes that hold their surface
@@ -79,7 +82,7 @@ class _Cells:
     """Part of a view's surface as cells of four neighboring pixels. The unknowns are the growths: each pixel's change of depth over depth."""
 
     def __init__(self, view: View, window: Window) -> None:
-        usable, depth = view.usable[window], view.depth[window]
+        usable, depth = view.usable[window], view.depth[window].astype(np.float64)
         whole = usable[:-1, :-1] & usable[1:, :-1] & usable[:-1, 1:] & usable[1:, 1:]
         four = np.stack([depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]])
         whole[whole] = np.ptp(four[:, whole], axis=0) < _STEP_GSD * view.gsd
@@ -90,7 +93,7 @@ class _Cells:
         self.number = np.full(usable.shape, -1)
         self.number[self.pixels] = np.arange(int(self.pixels.sum()))
         self.eye = view.eye
-        self._from_eye = view.points[window] - view.eye
+        self._from_eye = _grid_points(view, window) - view.eye
         self.of_corner = [self.number[self.row + i, self.column + j] for i, j, _, _ in _CORNERS]
         #: Standard deviation of each pixel's place across the surface, in GSD.
         self.sigma = np.clip(view.sigma[window][self.pixels] / view.gsd, *_PLACE_GSD)
@@ -126,16 +129,19 @@ def telling(views: Sequence[View], phases: Sequence[Phases]) -> list[tuple[View,
     return [(view, known) for view, known in zip(views, phases, strict=True) if _tells(view, known)]
 
 
-def sharpened(views: Sequence[View], stations: Sequence[tuple[View, Phases]]) -> list[View]:
-    """The views with depths and normals adjusted to the phases of the stations; `usable` does not change."""
-    return [_sharpened(view, stations) for view in views] if stations else list(views)
+def sharpened(views: Sequence[View], stations: Sequence[tuple[View, Phases]]) -> Iterator[View]:
+    """The views with depths and normals adjusted to the phases of the stations, one after the other; `usable` does not change."""
+    return (_sharpened(view, stations) for view in views) if stations else iter(views)
 
 
 def _tells(view: View, phases: Phases) -> bool:
     """Whether enough phases are consistent with the station's own surface."""
-    degree, planes = phases.planes(view, view.points[view.usable])
+    rows, columns = np.nonzero(view.usable)
+    some = slice(None, None, max(1, len(rows) // _MOST_ASKED))
+    rows, columns = rows[some], columns[some]
+    degree, planes = phases.planes(view, view.points_at(rows, columns))
     strong = degree > _LEAST_DEGREE
-    clear = _clear(np.abs((planes * view.normals[view.usable]).sum(-1)))
+    clear = _clear(np.abs((planes * view.normals[rows, columns]).sum(-1)))
     return bool(clear[strong].mean() > _LEAST_CLEAR) if strong.any() else False
 
 
@@ -148,14 +154,12 @@ def _sharpened(view: View, stations: Sequence[tuple[View, Phases]]) -> View:
     height, width = view.depth.shape
     growth = np.zeros((height, width))
     for top, left in itertools.product(range(0, height, _TILE), range(0, width, _TILE)):
-        above, before = min(top, _BESIDE), min(left, _BESIDE)
-        window = (slice(top - above, top + _TILE + _BESIDE), slice(left - before, left + _TILE + _BESIDE))
+        window, inner = _around(top, left, _BESIDE)
         cells = _Cells(view, window)
         if cells.unknowns:
             part = np.zeros(cells.pixels.shape)
             part[cells.pixels] = _growth(cells, view, stations)
-            inner = part[above : above + _TILE, before : before + _TILE]
-            growth[top : top + _TILE, left : left + _TILE] = inner
+            growth[top : top + _TILE, left : left + _TILE] = part[inner]
     return _moved(view, growth)
 
 
@@ -188,6 +192,8 @@ def _asked(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -
     normals = _unit(_areas(corners))
     asked = []
     for station, phases in stations:
+        if not station.may_see(points):
+            continue
         at = station.meet(points)
         near = np.abs((at.normals * (at.points - points)).sum(1)) < 2 * station.gsd
         which = np.flatnonzero((at.weight > 0) & near & (station.facing(points, normals) > LEAST_COSINE))
@@ -241,15 +247,28 @@ def _unit(vectors: Floats) -> Floats:
 
 def _moved(view: View, growth: Floats) -> View:
     """The view with its depths changed by a growth (H×W), and normals that are means over the cells about each pixel."""
-    whole = (slice(None), slice(None))
-    cells = _Cells(view, whole)
-    areas = _areas(cells.corners(growth[cells.pixels]))
-    sums = np.zeros(view.normals.shape)
-    for i, j, _, _ in _CORNERS:
-        sums[cells.row + i, cells.column + j] += areas
-    return replace(
-        view,
-        depth=view.depth * (1 + growth),
-        points=view.eye + (view.points - view.eye) * (1 + growth)[..., None],
-        normals=np.where(cells.pixels[..., None], _unit(sums), view.normals),
-    )
+    height, width = view.depth.shape
+    normals = np.empty_like(view.normals)
+    for top, left in itertools.product(range(0, height, _TILE), range(0, width, _TILE)):
+        window, inner = _around(top, left, 1)
+        cells = _Cells(view, window)
+        areas = _areas(cells.corners(growth[window][cells.pixels]))
+        sums = np.zeros((*cells.pixels.shape, 3))
+        for i, j, _, _ in _CORNERS:
+            sums[cells.row + i, cells.column + j] += areas
+        moved = np.where(cells.pixels[..., None], _unit(sums), view.normals[window])
+        normals[top : top + _TILE, left : left + _TILE] = moved[inner]
+    return replace(view, depth=(view.depth * (1 + growth)).astype(np.float32), normals=normals)
+
+
+def _around(top: int, left: int, beside: int) -> tuple[Window, Window]:
+    """The window of a tile with a margin of `beside` pixels, and the tile within this window."""
+    above, before = min(top, beside), min(left, beside)
+    window = (slice(top - above, top + _TILE + beside), slice(left - before, left + _TILE + beside))
+    return window, (slice(above, above + _TILE), slice(before, before + _TILE))
+
+
+def _grid_points(view: View, window: Window) -> Floats:
+    """World points of the pixels in a window."""
+    rows, columns = (range(*part.indices(size)) for part, size in zip(window, view.depth.shape, strict=True))
+    return view.points_at(*np.meshgrid(rows, columns, indexing="ij"))

@@ -167,6 +167,9 @@ class NearestVertices:
         self._mesh = mesh
         self._spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
         self._whole = self._among(np.arange(len(mesh.vertices))) if len(mesh.vertices) <= _MOST_IN_MEMORY else None
+        # Vertices follow each other block by block, so that most chunks lie elsewhere as a whole.
+        self._chunks = chunks(len(mesh.vertices)) if self._whole is None else []
+        self._boxes = [(mesh.vertices[rows].min(0), mesh.vertices[rows].max(0)) for rows in self._chunks]
 
     def _among(self, rows: NDArray[np.int64]) -> tuple[Any, NDArray[np.int64]]:
         return self._spatial.cKDTree(self._mesh.vertices[rows]), rows
@@ -180,13 +183,12 @@ class NearestVertices:
         low, high = places.min(0), places.max(0)
         margin = 0.25 * (high - low).max()
         while True:
-            parts = [
-                rows.start
-                + np.flatnonzero(
-                    ((self._mesh.vertices[rows] >= low - margin) & (self._mesh.vertices[rows] <= high + margin)).all(1)
-                )
-                for rows in chunks(len(self._mesh.vertices))
-            ]
+            parts = [np.empty(0, np.int64)]
+            for rows, (least, most) in zip(self._chunks, self._boxes, strict=True):
+                if (most >= low - margin).all() and (least <= high + margin).all():
+                    vertices = self._mesh.vertices[rows]
+                    near = ((vertices >= low - margin) & (vertices <= high + margin)).all(1)
+                    parts.append(rows.start + np.flatnonzero(near))
             if len(found := np.concatenate(parts)):
                 return found
             margin = 2 * margin + 1e-9

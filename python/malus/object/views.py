@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from malus.object.arrays import on_disk
 from malus.workspace import Workspace
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 #: Rims are not used: places where the cosine of the angle between normal and viewing ray is smaller.
@@ -43,7 +47,8 @@ class View:
     """A station's surface. Maps are H×W (×3), station unit, world frame. `usable` marks where the surface is trusted; `object` marks
     where the object may be: the reconstructed pixels and a rim about them.
 
-    sigma: one standard deviation along the normal. cosine: of the angle between normal and viewing ray.
+    sigma: one standard deviation along the normal. cosine: of the angle between normal and viewing ray. Maps are in single
+    precision, as the station's own rasters are: many stations of many megapixels are read together.
     """
 
     name: str
@@ -52,19 +57,42 @@ class View:
     center: tuple[float, float]
     rotation: Floats
     translation: Floats
-    depth: Floats
-    points: Floats
-    normals: Floats
-    sigma: Floats
-    cosine: Floats
+    depth: Singles
+    normals: Singles
+    sigma: Singles
+    cosine: Singles
     usable: Bools
     object: Bools
-    color: Floats
+    color: Singles
 
     @property
     def eye(self) -> Floats:
         """Projection center in the world."""
         return np.asarray(-self.rotation.T @ self.translation)
+
+    @cached_property
+    def usual_sigma(self) -> float:
+        """Median standard deviation where the surface is usable; the GSD if it is so nowhere."""
+        return float(np.median(self.sigma[self.usable])) if self.usable.any() else self.gsd
+
+    def points_at(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:
+        """World points (…×3) of the surface in these pixels."""
+        z = self.depth[rows, columns].astype(np.float64)
+        x, y = (columns - self.center[0]) / self.focal[0] * z, (rows - self.center[1]) / self.focal[1] * z
+        return np.asarray((np.stack([x, y, z], -1) - self.translation) @ self.rotation)
+
+    def may_see(self, points: Floats) -> bool:
+        """Whether the box about world points (N×3) reaches into the camera's field of view. Quick; if False, no point is in the image."""
+        if not len(points):
+            return False
+        height, width = self.depth.shape
+        low, high = points.min(0), points.max(0)
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) @ self.rotation.T + self.translation
+        x, y, z = corners.T
+        u, v = self.focal[0] * x + self.center[0] * z, self.focal[1] * y + self.center[1] * z
+        # The box is outside if all its corners lie beyond one of the planes that bound the field of view.
+        beside = (z <= 0, u < -z, v < -z, u > width * z, v > height * z)
+        return not any(side.all() for side in beside)
 
     def project(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Pixel coordinates u, v and depth z of world points (N×3)."""
@@ -80,8 +108,8 @@ class View:
         column, row = (np.where(inside, np.rint(x), 0).astype(np.int64) for x in (u, v))
         there = inside & self.usable[row, column]
         return Meeting(
-            column, row, z, self.points[row, column], self.normals[row, column], self.sigma[row, column],
-            np.where(there, self.cosine[row, column], 0.0),
+            column, row, z, self.points_at(row, column), self.normals[row, column].astype(np.float64),
+            self.sigma[row, column].astype(np.float64), np.where(there, self.cosine[row, column].astype(np.float64), 0.0),
         )  # fmt: skip
 
     def facing(self, points: Floats, normals: Floats) -> Floats:
@@ -110,21 +138,28 @@ class View:
 
 def sees(view: View, points: Floats, normals: Floats) -> Bools:
     """Which places of a surface (N×3, with normals) the view has measured."""
+    if not view.may_see(points):
+        return np.zeros(len(points), bool)
     at = view.meet(points)
     off = np.abs((at.normals * (at.points - points)).sum(1))
     facing = view.facing(points, normals) > LEAST_COSINE
     return np.asarray((at.weight > 0) & facing & (off < 4 * np.hypot(at.sigma, view.gsd)))
 
 
+def stored(view: View, folder: Path) -> View:
+    """The view with its maps in files of a new folder."""
+    names = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
+    return replace(view, **{name: on_disk(getattr(view, name), folder / name) for name in names})
+
+
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
-    """The surface of a station's finished workspace. Pixels whose sigma exceeds `most_sigma_gsd` GSD are not usable."""
+    """The surface of a station's finished workspace. Pixels whose sigma is above `most_sigma_gsd` GSD are not usable."""
     workspace = Workspace(folder)
     surface = workspace.surface()
     camera, (rotation, translation) = workspace.camera, workspace.pose
     depth = surface.depth.astype(np.float64)
     rows, columns = np.indices(depth.shape, dtype=np.float64)
     rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones_like(depth)], -1)
-    in_camera = rays * depth[..., None]
     length = np.linalg.norm(rays, axis=-1)
     normals = surface.normals.astype(np.float64)
     cosine = -(normals * rays).sum(-1) / length
@@ -141,14 +176,13 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
         center=(camera.cx, camera.cy),
         rotation=rotation,
         translation=translation,
-        depth=depth,
-        points=(in_camera - translation) @ rotation,
-        normals=normals @ rotation,
-        sigma=sigma,
-        cosine=cosine,
+        depth=surface.depth,
+        normals=(normals @ rotation).astype(np.float32),
+        sigma=sigma.astype(np.float32),
+        cosine=cosine.astype(np.float32),
         usable=usable,
         object=_grown(known),
-        color=workspace.color().astype(np.float64).reshape(*depth.shape, -1),
+        color=workspace.color().reshape(*depth.shape, -1),
     )
 
 

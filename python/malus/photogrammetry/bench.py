@@ -53,13 +53,13 @@ class Bench:
     journal: Journal
     options: Options
     progress: Callable[[float, str], None]
-    """Receives the share of the whole that is done, and what is being done."""
+    """Receives the finished share of the whole work, and the name of the current step."""
     log: Callable[[str, str], None]
     """Receives a level (info, warning) and a message."""
 
     @property
     def images(self) -> Path:
-        """Folder of the images that COLMAP sees."""
+        """Folder of the images that COLMAP reads."""
         return self.folder / "images"
 
     def report(self, stage: str, fraction: float, message: str) -> None:

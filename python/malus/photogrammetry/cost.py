@@ -39,12 +39,12 @@ class Expected:
 
 @dataclass(frozen=True)
 class Work:
-    """What the cost depends on."""
+    """Quantities that determine the cost."""
 
     sizes: Sequence[tuple[int, int]]
-    """Of the photos, px."""
+    """Width and height of each photo, px."""
     pairs: int
-    """Of photos to match."""
+    """Number of photo pairs to match."""
     station_mpx: float
     """Megapixels of the station's image."""
     options: Options
@@ -57,7 +57,7 @@ class Work:
 
     @property
     def seconds(self) -> float:
-        """Seconds of everything that is done with the photos."""
+        """Seconds of all steps that use the photos."""
         count, features = len(self.sizes), (self.options.photos.max_features / _FEATURES) ** 2
         seconds = self.megapixels * _SECONDS_A_MEGAPIXEL + (self.pairs + count) * _SECONDS_A_PAIR * features
         return (seconds + count * _SECONDS_A_PHOTO) / min(self.threads, 2)

@@ -29,7 +29,7 @@ from malus.photogrammetry.control import adjust_datum, move_model, require_contr
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
-from malus.photogrammetry.photos import Photo, describe_photo, list_photos
+from malus.photogrammetry.photos import Photo, describe_photo, photos_of
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale
 from malus.photogrammetry.station_pose import (
@@ -51,15 +51,15 @@ class StationCameras:
     """Cameras in the world of the result: the control points' frame, or COLMAP's scaled to the station's unit."""
 
     station: Camera
-    """Lens (undistorted raster's if it was given, else as calibrated) and pose."""
+    """Lens (that of the undistorted raster if a lens was given, else the calibrated one) and pose."""
     photos: list[tuple[Photo, Camera]]
     model: SparseModel
     figures: dict[str, Any]
     """For quality.json: `photogrammetry`, `scale`, and `control` if there are control points."""
     times: dict[str, Any]
-    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
+    """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
     warnings: list[str] = field(default_factory=list)
-    """Of finding them together with other stations; for this one's report."""
+    """Warnings from the joint search for the cameras of several stations, for this station's report."""
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:
@@ -163,7 +163,7 @@ def _bench(folder: Path, options: Options, threads: int, progress: Report, log: 
 
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
     """The photos that [photos] names, and their cameras. said: `path`, `photos` and `control`."""
-    photos = list_photos(Path(said["photos"]["folder"]), said["photos"]["exclude"])
+    photos = photos_of(said["photos"])
     require_control_points(said, [photo.name for photo in photos])
     solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))
     relief = solved.model.relief()
@@ -278,12 +278,32 @@ class Swept:
 
     depth: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    """One standard deviation of depth."""
+    """Standard deviation of the depth."""
     shape: NDArray[np.float32] | None
-    """Surface that it was measured about; None = without one."""
+    """Surface around which the sweep searched; None = without a known surface."""
     figures: dict[str, Any]
     times: dict[str, Any]
-    """`seconds`, `cpu_seconds` and `peak_mb`, of all stages and of each (`stages`)."""
+    """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
+    hull: Hull | None = None
+    """Visual hull, for the pixels without a depth; None = no photo has a mask."""
+
+    def rasters(self) -> dict[str, NDArray[np.float32]]:
+        """Rasters of the C++ library's SweptDepth by name."""
+        found = {"depth": self.depth, "sigma": self.sigma}
+        if self.shape is not None:
+            found["shape"] = self.shape
+        if self.hull is not None:
+            found |= {"hull": self.hull.depth, "hull_sigma": self.hull.sigma}
+        return found
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Front of the photos' visual hull in the station's view, H×W; NaN = none."""
+
+    depth: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    """One standard deviation of depth."""
 
 
 @dataclass(frozen=True)
@@ -323,6 +343,11 @@ def _contradicted(swept: Swept, fused: FusedOnce) -> NDArray[np.bool_]:
     return far
 
 
+#: Depths nearer than the hull by more than this many of both standard deviations are those of mirror images.
+HULL_SIGMAS = 3.0
+
+#: Files below the folder: the visual hull.
+_HULL = ["hull_depth.tif", "hull_sigma.tif"]
 #: Files below the folder: the first sweep; its depths that were kept; the sweep near the fused surface, and that surface.
 _FIRST = ["sweep_depth.tif", "sweep_sigma.tif", "sweep_confidence.tif"]
 _SHAPE = "sweep_again_shape.tif"
@@ -342,6 +367,31 @@ class _Sweep:
     threads: int
     progress: Report
     journal: Journal
+
+    def hull(self) -> Hull | None:
+        """The photos' visual hull, or None without masks."""
+        masked = [(photo, photo.mask, camera) for photo, camera in self.cameras.photos if photo.mask is not None]
+        if not masked:
+            return None
+        hashes = self.journal.watch({f"mask of {photo.name}": mask for photo, mask, _ in masked})
+        silhouettes = [(str(mask), camera.values()) for _, mask, camera in masked]
+        inputs = {
+            "view": repr(self.view.values()),
+            "masks": [hashes[f"mask of {photo.name}"] for photo, _, _ in masked],
+            "cameras": repr([camera for _, camera in silhouettes]),
+            "object": hashlib.sha256(self.mask.tobytes()).hexdigest(),
+        }
+
+        def found() -> dict[str, Any]:
+            rasters = _core.visual_hull(
+                self.view.values(), self.mask, silhouettes, self.threads,
+                lambda _, fraction, __: self.progress(fraction, "visual hull"),
+            )  # fmt: skip
+            self._write(_HULL, rasters)
+            return {"masks": len(silhouettes)}
+
+        self.journal.stage("hull", inputs, _HULL, found)
+        return Hull(*self._read(_HULL))
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):
@@ -387,9 +437,27 @@ class _Sweep:
             "points": hashlib.sha256(self.cameras.model.points.tobytes()).hexdigest(),
             "options": settings,
         }
-        figures = self.journal.stage("sweep", inputs, _FIRST, lambda: self._run(_FIRST, None))
+        hull = self.hull()
+        figures = self.journal.stage(
+            "sweep", inputs, _FIRST, lambda: self._run(_FIRST, None) if hull is None else self._run_or_none(hull)
+        )
         depth, sigma, _ = self._read(_FIRST)
-        return Swept(depth, sigma, None, figures, _times(self.journal))
+        if hull is not None:
+            mirrored = depth < hull.depth - HULL_SIGMAS * np.hypot(sigma, hull.sigma)
+            depth, sigma = (np.where(mirrored, np.float32(np.nan), values) for values in (depth, sigma))
+        return Swept(depth, sigma, None, figures, _times(self.journal), hull)
+
+    def _run_or_none(self, hull: Hull) -> dict[str, Any]:
+        """The first sweep, without any depth if the photos do not agree: the hull takes its place then."""
+        try:
+            return self._run(_FIRST, None)
+        except DataError as error:
+            self.journal.log("warning", f"{error}; the visual hull of the photos' masks takes its place")
+            nothing = np.full(hull.depth.shape, np.nan, np.float32)
+            self._write(_FIRST, (nothing, nothing, np.zeros_like(nothing)))
+            return {
+                "views": 0, "points": 0, "completeness": 0.0, "highlights": 0.0, "score": None, "sigma_gsd": None,
+            }  # fmt: skip
 
     def again(self, first: Swept, fuse: Callable[[Swept], FusedOnce], fused_of: Mapping[str, Any]) -> Swept:
         """A second sweep, near the surface fused with the first; if the first found little, its depths that this surface supports."""
@@ -410,13 +478,15 @@ class _Sweep:
             self._write(_KEPT, (some.depth, some.sigma, _held(fuse(some))))
             return {**first.figures, "completeness": float(np.isfinite(some.depth)[self.mask != 0].mean())}
 
+        if not np.isfinite(first.depth).any():
+            return first
         if first.figures["completeness"] < AGAIN_COMPLETENESS:
             figures = self.journal.stage("sweep_kept", fused_of, _KEPT, kept)
             depth, sigma, shape = self._read(_KEPT)
         else:
             figures = self.journal.stage("sweep_again", fused_of, _AGAIN, swept)
             depth, sigma, _, shape = self._read(_AGAIN)
-        return Swept(depth, sigma, shape, {**figures, "first": first.figures}, _times(self.journal))
+        return Swept(depth, sigma, shape, {**figures, "first": first.figures}, _times(self.journal), first.hull)
 
 
 def sweep_station(
@@ -438,7 +508,8 @@ def sweep_station(
     can match weaker texture. If the first sweep finds little, there is no second one: depths that contradict the fused
     surface are dropped, and the other depths are fused anew. `fuse` is called if this is not done yet, None = one sweep;
     `fused_of` is everything besides the sweep that the fused surface depends on. Results are kept below `folder` and read
-    back while their inputs are unchanged.
+    back while their inputs are unchanged. Where the sweep finds nothing, the visual hull of the photos' masks, if they
+    have any, is the depth.
     """
     raster = lens_of_raster(cameras.station)
     assert raster is not None

@@ -41,11 +41,11 @@ class CameraGroup:
 
     photos: list[Photo]
     known: Camera | None
-    """Calibrated lens, kept as it is."""
+    """Calibrated lens, which is held fixed; None if it is unknown."""
 
     @property
     def focal_px(self) -> float | None:
-        """Focal length by EXIF."""
+        """Focal length in pixels from the EXIF data; None if unknown."""
         return self.photos[0].focal_px
 
     def reader(self) -> dict[str, object]:
@@ -81,16 +81,16 @@ class PhotoCameras:
     """The photos' model, where its files are, and how it was found."""
 
     folder: Path
-    """Of the adjusted model."""
+    """Folder of the adjusted model."""
     database: Path
     model: SparseModel
     calibrated: bool
     unregistered: list[str]
     pairs: int
     sparing: bool
-    """Whether matches are so few that they were searched for again, and that fewer place an image."""
+    """Whether matches are few: they were searched for again, and fewer of them suffice to place an image."""
     hashes: dict[str, str]
-    """SHA-256 of every photo by its name, as it was read."""
+    """Photo name → SHA-256 of the file that was read."""
 
 
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import fnmatch
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,16 @@ class Photo:
     """A photo's file, its size, and the camera data in its EXIF."""
 
     name: str
-    """Path below the photos' folder, with slashes."""
+    """Path relative to the photos' folder, with forward slashes."""
     path: Path
     width: int
     height: int
     maker: str = ""
-    """Camera and lens as the file names them; empty if it does not."""
+    """Camera and lens from the EXIF data; empty if unknown."""
     focal_px: float | None = None
-    """Focal length by the file's EXIF data."""
+    """Focal length in pixels from the EXIF data; None if unknown."""
+    mask: Path | None = None
+    """Image of the photo's size, non-zero = object; None if there is none."""
 
     @property
     def camera_key(self) -> tuple[int, int, str, float | None]:
@@ -81,9 +84,9 @@ def describe_photo(path: Path, name: str) -> Photo:
     return Photo(name, path, width, height, maker, focal_px)
 
 
-def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
+def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> dict[str, Path]:
     """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
-    without those whose name or path matches a pattern of `exclude`.
+    without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
 
     Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
     more files and folders than a station can have.
@@ -96,7 +99,8 @@ def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
             )
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
-        if not hidden and path.suffix.lower() in SUFFIXES and path.is_file():
+        is_mask = masks is not None and masks != folder and masks in path.parents
+        if not (hidden or is_mask) and path.suffix.lower() in SUFFIXES and path.is_file():
             names[below.as_posix()] = path
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
@@ -107,9 +111,48 @@ def photo_files(folder: Path, exclude: Sequence[str]) -> dict[str, Path]:
     return {name: names[name] for name in kept}
 
 
-def list_photos(folder: Path, exclude: Sequence[str]) -> list[Photo]:
+def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> list[Photo]:
     """The photos of `photo_files`, with sizes and EXIF data. Raises InputError, also for files that are not readable images."""
-    return [describe_photo(path, name) for name, path in photo_files(folder, exclude).items()]
+    return [describe_photo(path, name) for name, path in photo_files(folder, exclude, masks).items()]
+
+
+def photos_of(said: Mapping[str, Any]) -> list[Photo]:
+    """The photos of a [photos] table as `Station.describe` returns it, with their masks."""
+    masks = None if said["masks"] is None else Path(said["masks"])
+    photos = list_photos(Path(said["folder"]), said["exclude"], masks)
+    return photos if masks is None else with_masks(photos, masks)
+
+
+#: Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them.
+_MASK_NAMES = ("{path}.png", "{stem}.png", "{stem}_mask.png", "{path}.mask.png")
+
+
+def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
+    """The photos with the masks that they have in a folder.
+
+    A mask is named like its photo, a photo in a subfolder has its mask in the same subfolder: "a.jpg.png", "a.png",
+    "a_mask.png" or "a.jpg.mask.png" for "a.jpg". Raises InputError if no photo has one, and for masks of another size.
+    """
+    found = []
+    for photo in photos:
+        stem = photo.name[: -len(Path(photo.name).suffix)]
+        for pattern in _MASK_NAMES:
+            path = folder / pattern.format(path=photo.name, stem=stem)
+            if path.is_file() and path != photo.path:
+                width, height = _core.image_size(str(path))
+                if (width, height) != (photo.width, photo.height):
+                    raise InputError(
+                        f"{path}: is {width} x {height} pixels, expected {photo.width} x {photo.height} as {photo.name}"
+                    )
+                photo = replace(photo, mask=path)
+                break
+        found.append(photo)
+    if photos and all(photo.mask is None for photo in found):
+        name = photos[0].name
+        raise InputError(
+            f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
+        )
+    return found
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from malus.errors import DataError
@@ -14,7 +13,7 @@ from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
-from malus.photogrammetry.photos import list_photos
+from malus.photogrammetry.photos import photos_of
 from malus.photogrammetry.program import Colmap
 
 
@@ -55,7 +54,8 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     """
     said = station["photos"]
     warnings: list[str] = []
-    photos = list_photos(Path(said["folder"]), said["exclude"])
+    photos = photos_of(said)
+    masks = sum(photo.mask is not None for photo in photos)
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     require_control_points(station, [photo.name for photo in photos])
@@ -65,7 +65,7 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     pairs = pairs_to_match([photo.name for photo in photos], options.photos.exhaustive_limit)
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [
-        f"photos: {len(photos)} with {lens}, {len(pairs)} pairs to match, {program.title}",
+        f"photos: {len(photos)} with {lens}, {f'{masks} masks, ' if masks else ''}{len(pairs)} pairs to match, {program.title}",
         _scale_line(station),
     ]
     if known is None and any(group.focal_px is None for group in groups):

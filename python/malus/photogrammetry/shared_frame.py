@@ -26,6 +26,8 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
                 "name": photo.name,
                 "path": str(photo.path.resolve()),
                 "sha256": sha256_of(photo.path),
+                "mask": None if photo.mask is None else str(photo.mask.resolve()),
+                "mask_sha256": None if photo.mask is None else sha256_of(photo.mask),
                 "camera": _described(camera),
             }
             for photo, camera in cameras.photos
@@ -45,7 +47,7 @@ def save_failure(file: Path, error: MalusError) -> None:
 def content_of(file: Path) -> str:
     """SHA-256 of the cameras in a file, without the paths of model and photos and without the times; of an empty record without a file."""
     content = read_record(file) or {}
-    photos = [{**said, "path": ""} for said in content.get("photos", ())]
+    photos = [{**said, "path": "", "mask": ""} for said in content.get("photos", ())]
     said = {key: value for key, value in content.items() if key not in ("model", "times")} | {"photos": photos}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
@@ -64,10 +66,12 @@ def load_cameras(file: Path) -> StationCameras:
         raise InputError(f"{model} was changed since the cameras were found; run the object again")
     photos = []
     for said in content["photos"]:
-        if sha256_of(Path(said["path"])) != said["sha256"]:
-            raise InputError(f"{said['path']} was changed since its camera was found; run the object again")
+        for file_of, digest in (("path", "sha256"), ("mask", "mask_sha256")):
+            if said[file_of] is not None and sha256_of(Path(said[file_of])) != said[digest]:
+                raise InputError(f"{said[file_of]} was changed since its camera was found; run the object again")
         camera = Camera(**said["camera"])
-        photos.append((Photo(said["name"], Path(said["path"]), camera.width, camera.height), camera))
+        mask = None if said["mask"] is None else Path(said["mask"])
+        photos.append((Photo(said["name"], Path(said["path"]), camera.width, camera.height, mask=mask), camera))
     return StationCameras(
         station=Camera(**content["station"]),
         photos=photos,

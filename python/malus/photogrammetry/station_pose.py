@@ -34,11 +34,11 @@ class StationView:
     """The station's image as the front end needs it."""
 
     unpolarized: NDArray[np.float32]
-    """H×W, linear; NaN = none."""
+    """H×W, linear; NaN = no value."""
     lens: Camera | None
-    """Its lens without distortion if it is known, else None: the image is as taken."""
+    """Lens of the undistorted image; None = the lens is unknown, and the image is not undistorted."""
     shared_with: str | None = None
-    """With an unknown lens: a photo of the same camera, lens and focal length."""
+    """If the lens is unknown: name of a photo with the same camera, lens and focal length."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class PlacedStations:
     folder: Path
     model: SparseModel
     matches: dict[str, dict[str, int]]
-    """By image name of the station: verified matches with each other image."""
+    """Image name of the station → other image → number of verified matches."""
 
     def has(self, image: str) -> bool:
         """Whether the station of this image was placed and sees enough points."""

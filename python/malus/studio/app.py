@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -387,7 +388,9 @@ async def _body(request: Request) -> bytes:
     async for chunk in request.stream():
         content += chunk
         if len(content) > _MAX_BODY:
-            return b""
+            raise HTTPException(
+                413, f"The request has more than {_MAX_BODY / 1e6:g} MB, which is more than Studio takes."
+            )
     return bytes(content)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core, exif, station_import
-from malus._files import as_text, is_utf8, open_regular, read_regular
+from malus._files import as_text, is_utf8, open_regular, read_regular, resolved
 from malus.errors import InputError
 from malus.photogrammetry.photos import photo_files
 from malus.raw import is_raw
@@ -207,7 +207,9 @@ def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[dict
     photos = values.get("photos", {})
     folder = photos.get("folder")
     if isinstance(folder, str):
-        files = photo_files(root.directory(str(station.parent / folder)), photos.get("exclude", []))
+        masks = photos.get("masks")
+        place = resolved(station.parent / masks) if isinstance(masks, str) else None
+        files = photo_files(root.directory(str(station.parent / folder)), photos.get("exclude", []), place)
         return [{"path": root.name(path), "image": name} for name, path in files.items() if root.holds(path)]
     camera = values.get("camera", {})
     if "colmap_model" not in camera:

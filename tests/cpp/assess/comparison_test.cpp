@@ -26,7 +26,7 @@ TriangleMesh mesh_of(const FusedSurface& surface) {
   return mesh_from_depth(surface, {}, {}, {});
 }
 
-/// A unit cube about the origin, outward triangles.
+/// A unit cube about the origin, with triangles that face outward.
 TriangleMesh cube() {
   TriangleMesh mesh;
   for (int i = 0; i < 8; ++i) mesh.vertices.points.emplace_back((i & 1) - 0.5, (i >> 1 & 1) - 0.5, (i >> 2 & 1) - 0.5);
@@ -56,7 +56,7 @@ TEST(Reference, DistanceAndSignToACubeAreExactAtFacesEdgesAndCorners) {
   EXPECT_TRUE(reference.foot({3, 0, 0}, 2.6));
 }
 
-TEST(Reference, TreeFindsWhatASearchThroughAllTrianglesFinds) {
+TEST(Reference, TreeSearchAgreesWithExhaustiveSearch) {
   const TriangleMesh mesh = mesh_of(wavy(0, 40, 30));
   const ReferenceSurface reference(mesh, some_pose().centre(), 12, {});
   TriangleMesh one;
@@ -97,7 +97,7 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   }
 }
 
-TEST(Comparison, PointsAllAroundACloudAreOutsideOnEverySide) {
+TEST(Comparison, SignedDistancesAreRightAllAroundAClosedCloud) {
   PointCloud ball;
   std::vector<Eigen::Vector3d> outside, directions;
   for (int i = 0; i < 4000; ++i) {
@@ -108,7 +108,7 @@ TEST(Comparison, PointsAllAroundACloudAreOutsideOnEverySide) {
     outside.push_back((i % 2 == 0 ? 20.6 : 19.8) * direction);
   }
   const std::vector<float> found = distances_from_reference(outside, directions, {ball, {}}, gsd, {}, {});
-  // The plane of twelve points lies a little inside of the ball.
+  // A plane fitted to twelve points of the ball lies slightly inside it.
   for (std::size_t i = 0; i < found.size(); ++i) ASSERT_NEAR(found[i], i % 2 == 0 ? 0.6 : -0.2, 0.1) << i;
   AssessOptions near;
   near.max_distance_gsd = 0.5;
@@ -117,7 +117,7 @@ TEST(Comparison, PointsAllAroundACloudAreOutsideOnEverySide) {
   EXPECT_TRUE(std::isnan(nothing.at(0)));
 }
 
-TEST(Comparison, PointsOfAnySurfaceAreAlignedAsPixelsAre) {
+TEST(Comparison, AlignsThePointsOfAnySurface) {
   const FusedSurface surface = wavy(0);
   const TriangleMesh reference = mesh_of(surface);
   const Eigen::Vector3d shift(0.5, -0.4, 0.6);
@@ -131,7 +131,7 @@ TEST(Comparison, PointsOfAnySurfaceAreAlignedAsPixelsAre) {
   EXPECT_FALSE(align_with_reference(std::span(moved).first(5), reference, gsd, options, {}).converged);
 }
 
-TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
+TEST(Comparison, FarPixelsAreLeftOutAndReported) {
   const FusedSurface half = wavy(0, 80, 120);
   FusedSurface reference_view = half;
   reference_view.camera = compared_camera;
@@ -154,7 +154,7 @@ TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   EXPECT_NE(said.find("--register"), std::string::npos) << said;
 }
 
-TEST(Comparison, AReferenceBesideTheSurfaceIsSaid) {
+TEST(Comparison, ReportsAReferenceOffsetFromTheSurface) {
   const TriangleMesh reference = mesh_of(wavy(0));
   std::string said;
   Context context;
@@ -197,7 +197,7 @@ TEST(Comparison, IcpOnAPlaneDoesNotSlide) {
   AssessOptions options;
   options.alignment = Alignment::rigid;
   const ReferenceComparison result = compare_with_reference(plane(500), mesh_of(plane(502)), gsd, options, {});
-  EXPECT_NEAR(result.distance_gsd.median, 0, 1e-4);  // a few pixels hang over the reference's border
+  EXPECT_NEAR(result.distance_gsd.median, 0, 1e-4);  // a few pixels extend beyond the reference's border
   EXPECT_LT(result.distance_gsd.mad, 1e-3);
   const Eigen::Map<const Eigen::Vector3d> shift(result.reference_from_surface.translation.data());
   EXPECT_NEAR(shift.norm(), 2, 0.05);

@@ -28,7 +28,7 @@ TEST(HighPass, RemovesConstantsAndScalesAWaveByTheGaussiansTransfer) {
   for (int u = 100; u < 200; ++u) ASSERT_NEAR(detail(u, 100), transfer * (image(u, 100) - 800), 1e-3);
 }
 
-TEST(HighPass, MissingPixelsHaveNoPart) {
+TEST(HighPass, MissingPixelsAreIgnored) {
   Image<float> image({120, 90}, 1, 5.0f);
   for (int v = 30; v < 60; ++v) {
     for (int u = 0; u < 70; ++u) image(u, v) = none;
@@ -43,7 +43,7 @@ TEST(HighPass, MissingPixelsHaveNoPart) {
   }
 }
 
-/// By the definition, in double precision.
+/// The detail computed directly from its definition, in double precision.
 double direct_detail(const Image<float>& image, double sigma, int u, int v) {
   const int radius = static_cast<int>(4 * sigma + 0.5);
   const auto mirrored = [](int x, int size) {
@@ -87,7 +87,7 @@ TEST(HighPass, FollowsItsDefinitionAcrossTilesBordersAndHoles) {
     ASSERT_TRUE(detail[i] == same[i] || (std::isnan(detail[i]) && std::isnan(same[i])));
 }
 
-TEST(HighPass, OfARasterSmallerThanItsWindow) {
+TEST(HighPass, HandlesARasterSmallerThanItsWindow) {
   Image<float> image({5, 3});
   for (std::size_t i = 0; i < image.count(); ++i) image[i] = static_cast<float>(i * i % 11);
   const Image<float> detail = high_pass(image, 8, {});

@@ -45,7 +45,7 @@ TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
   EXPECT_LT(p.roughness_prior_gsd, 0.01);
 }
 
-TEST(Profiles, AConstantOffsetIsNotRoughnessAndNotACentredDifference) {
+TEST(Profiles, AConstantOffsetChangesNeitherRoughnessNorCenteredRms) {
   const ProfileFigures p =
       across(bumped_plane(0),
              surface_of(profile_camera.size, 1000,
@@ -64,7 +64,7 @@ TEST(Profiles, HolesStayHoles) {
   const ProfileFigures p = across(bumped_plane(0), {}, fused);
   EXPECT_TRUE(std::isnan(p.fused[50]));
   EXPECT_TRUE(std::isnan(p.fused[9]));
-  EXPECT_NEAR(p.position[10], 0, 1e-9) << "counted from the first point on the surface";
+  EXPECT_NEAR(p.position[10], 0, 1e-9) << "positions start at the first point on the surface";
   EXPECT_EQ(p.fused_minus_prior.count, 121u - 11);
   fused.fill(none);
   EXPECT_EQ(across({}, {}, fused).status, ProfileStatus::too_few_samples);

@@ -85,7 +85,7 @@ TEST(Quality, FiguresOfAKnownCase) {
   EXPECT_FALSE(q.reference);
 }
 
-TEST(Quality, ConfidenceIsTheSurfacesOwnLessWhatTheFiguresSay) {
+TEST(Quality, FiguresCanOnlyLowerTheSurfacesConfidence) {
   Case c;
   c.prior.sigma.fill(2.0f);
   EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::high);
@@ -97,10 +97,10 @@ TEST(Quality, ConfidenceIsTheSurfacesOwnLessWhatTheFiguresSay) {
   EXPECT_EQ(unsure.confidence.reasons.size(), 2u);
   c.surface.sigma.fill(0.25f);
   c.prior.sigma.fill(0.1f);
-  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::low) << "the surface left its prior";
+  EXPECT_EQ(assess(c.input, {}, {}).confidence.level, ConfidenceLevel::low) << "the surface is too far from its prior";
 }
 
-TEST(Quality, APriorThatIsMostlyFilledIsNoEvidence) {
+TEST(Quality, AMostlyFilledPriorLowersTheConfidence) {
   Case c;
   c.prior.sigma.fill(2.0f);
   for (const auto& [filled, level] : {std::pair{0.2, ConfidenceLevel::high},
@@ -125,7 +125,7 @@ TEST(Quality, PixelsWithoutPolarizationAreNotTrusted) {
       << confidence.reasons[0];
 }
 
-TEST(Quality, FiguresThatAreMissingProveNothing) {
+TEST(Quality, MissingFiguresLowerTheConfidence) {
   Case c;
   c.surface.sigma.fill(none);
   c.prior.sigma.fill(2.0f);
@@ -158,7 +158,7 @@ TEST(Quality, ComparesWithAReferenceOnRequest) {
   EXPECT_NEAR(q.reference->distance_gsd.mean, 1 / q.gsd, 0.01);
 }
 
-TEST(Quality, GsdFallsBackToTheMedianWhereTheCentreIsEmpty) {
+TEST(Quality, GsdFallsBackToTheMedianWhereTheCenterIsEmpty) {
   const Pinhole camera = centred_camera({100, 80}, 1000);
   Image<float> depth(camera.size, 1, none);
   EXPECT_THROW(ground_sampling_distance(depth, camera), Error);
@@ -195,7 +195,7 @@ TEST(Quality, SameWithAnyNumberOfThreads) {
   EXPECT_EQ(a.patches[0].polarization->rmse, b.patches[0].polarization->rmse);
 }
 
-TEST(PolarizationDepth, BothFormsComeBackToTheDepthTheyWereMadeFrom) {
+TEST(PolarizationDepth, HeightsOfBothProjectionsConvertBackToTheirDepth) {
   const Pinhole camera = centred_camera({60, 50}, 800);
   Image<float> depth(camera.size);
   for (int v = 0; v < 50; ++v) {

@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-TEST(Statistics, HistogramPutsBordersRightAndCountsWhatIsOutside) {
+TEST(Statistics, HistogramBinsIncludeTheirLowerBorderAndOutsideIsCounted) {
   const std::vector<double> values{-2, -1, -0.51, -0.5, 0, 0.99, 1, 1.5, NAN};
   const Histogram h = histogram(values, -1, 1, 4);
   EXPECT_EQ(h.counts, (std::vector<std::size_t>{2, 1, 1, 2}));
@@ -19,7 +19,7 @@ TEST(Statistics, HistogramPutsBordersRightAndCountsWhatIsOutside) {
   EXPECT_DOUBLE_EQ(h.bin_width, 0.5);
 }
 
-/// Normal distances, always the same.
+/// Normally distributed distances, the same in every call.
 std::vector<double> normal_distances(double sigma, std::size_t count) {
   std::mt19937_64 random(1);
   std::normal_distribution<double> normal(0, sigma);
@@ -32,17 +32,18 @@ std::size_t counted(const Histogram& h) {
   return std::accumulate(h.counts.begin(), h.counts.end(), std::size_t{0});
 }
 
-TEST(Statistics, ClassesSuitTheSpreadOfTheDistances) {
-  // 2 · 1.349 · 0.2 / ∛8000 = 0.027, nearest to 0.02: that many classes show the bell at any scale.
+TEST(Statistics, BinWidthFollowsTheSpreadOfTheDistances) {
+  // The width 2 · 1.349 · 0.2 / ∛8000 = 0.027 is rounded to 0.02. The number of bins must not depend on the scale.
   for (const double scale : {1e-3, 1.0, 1e3}) {
     const Histogram h = distance_histogram(normal_distances(0.2 * scale, 8000), std::nullopt, 0);
     EXPECT_NEAR(h.bin_width / scale, 0.02, 1e-9);
     EXPECT_NEAR(h.low / h.bin_width, std::round(h.low / h.bin_width), 1e-6) << "borders at multiples of the width";
-    EXPECT_EQ(counted(h), 8000u) << "none is left out";
+    EXPECT_EQ(counted(h), 8000u) << "no distance is left out";
     EXPECT_GT(h.counts.size(), 60u);
     EXPECT_LT(h.counts.size(), 90u);
   }
-  EXPECT_NEAR(distance_histogram(normal_distances(0.2, 64), std::nullopt, 0).bin_width, 0.1, 1e-9) << "fewer, wider";
+  EXPECT_NEAR(distance_histogram(normal_distances(0.2, 64), std::nullopt, 0).bin_width, 0.1, 1e-9)
+      << "fewer distances give wider bins";
 }
 
 TEST(Statistics, FarDistancesDoNotStretchAHistogram) {
@@ -56,7 +57,7 @@ TEST(Statistics, FarDistancesDoNotStretchAHistogram) {
   EXPECT_EQ(counted(h), 7998u);
 }
 
-TEST(Statistics, HistogramOfAlikeOrNoDistances) {
+TEST(Statistics, HistogramOfEqualDistancesAndOfNone) {
   const Histogram alike = distance_histogram(std::vector<double>(20, 0.3), std::nullopt, 0);
   EXPECT_EQ(alike.counts.size(), 1u);
   EXPECT_EQ(counted(alike), 20u);
@@ -65,7 +66,7 @@ TEST(Statistics, HistogramOfAlikeOrNoDistances) {
   EXPECT_EQ(counted(none), 0u);
 }
 
-TEST(Statistics, ClassesAndRangeCanBeGiven) {
+TEST(Statistics, BinCountAndRangeCanBeGiven) {
   const std::vector<double> values = normal_distances(0.2, 8000);
   const Histogram both = distance_histogram(values, 1, 50);
   EXPECT_EQ(both.counts.size(), 50u);

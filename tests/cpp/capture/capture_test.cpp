@@ -38,8 +38,8 @@ TEST(Capture, aligned_images_pass_bit_for_bit) {
   EXPECT_TRUE(stack.color.empty());
 }
 
-TEST(Capture, images_are_loaded_side_by_side) {
-  // The first two wait for each other: only two threads load them both.
+TEST(Capture, images_are_loaded_in_parallel) {
+  // The first two loads wait for each other, so that only two threads can finish them.
   CaptureInput input = aligned_input();
   std::atomic<int> here{0};
   input.load = [&, load = input.load](std::size_t k) {
@@ -52,7 +52,7 @@ TEST(Capture, images_are_loaded_side_by_side) {
   EXPECT_TRUE(stack.saturated == capture_stack(aligned_input(), {}, Context{}).saturated);
 }
 
-TEST(Capture, angles_follow_the_scale) {
+TEST(Capture, angles_follow_zero_and_direction_of_the_scale) {
   CaptureInput input = aligned_input();
   input.polarized.angle_zero_deg = 10;
   EXPECT_NEAR(capture_stack(input, {}, Context{}).angles_rad[1], 35 * std::numbers::pi / 180, 1e-12);
@@ -62,7 +62,7 @@ TEST(Capture, angles_follow_the_scale) {
   EXPECT_TRUE(capture_stack(input, {}, Context{}).angles_rad.empty());
 }
 
-TEST(Capture, moved_images_are_registered_unless_off) {
+TEST(Capture, moved_images_are_registered_unless_registration_is_off) {
   auto images = aligned_scene();
   const Affine map = similarity(stone_size, 0.003, 1, 1.2, -0.6);
   images[2] = AnalyticScene{0.05}.image(stone_size, map, std::numbers::pi / 2);
@@ -71,7 +71,7 @@ TEST(Capture, moved_images_are_registered_unless_off) {
   options.registration.interpolation = Interpolation::keys;
   const PolarizedStack stack = capture_stack(input, options, two_threads());
   EXPECT_LT(affine_distance_px(stack.image_from_base[2], map, stone_size), 0.02);
-  EXPECT_TRUE(stack.images[1] == images[1]) << "those that did not move stay untouched";
+  EXPECT_TRUE(stack.images[1] == images[1]) << "images that did not move stay unchanged";
   EXPECT_EQ(stack.mask(stone_size.width - 1, 5), 0);
   const auto& aligned = aligned_scene();
   double squares = 0;
@@ -116,7 +116,7 @@ TEST(Capture, color_is_the_mean_of_the_linear_images) {
   EXPECT_GT(stack.noise.full_well_e, 20000) << "several channels are less noisy than one";
 }
 
-TEST(Capture, inputs_that_do_not_fit_are_named) {
+TEST(Capture, mismatched_inputs_are_named) {
   const auto expect_refused = [](const CaptureInput& input, const auto&... parts) {
     expect_error(
         ErrorCode::input, [&] { capture_stack(input, {}, Context{}); }, parts...);
@@ -144,7 +144,7 @@ TEST(Capture, inputs_that_do_not_fit_are_named) {
   expect_refused(input, "mosaic");
 }
 
-TEST(Capture, data_that_cannot_be_used) {
+TEST(Capture, unusable_data_are_refused) {
   const auto expect_refused = [](const CaptureInput& input, const CaptureOptions& options, const char* part) {
     expect_error(
         ErrorCode::data, [&] { capture_stack(input, options, Context{}); }, part);
@@ -182,14 +182,14 @@ TEST(Capture, images_that_cannot_be_of_one_series_are_named) {
     for (float& value : images[2]) value *= factor;
     expect_refused(images, ErrorCode::input, "image 2.tif is ", "times as bright as the other images");
   }
-  // Of all images registered together none converges when one lies far away.
+  // If one image is far off, no image converges when all are registered together.
   images = right;
   for (int v = 0; v < stone_size.height; ++v)
     for (int u = 0; u < stone_size.width; ++u) images[4](u, v) = right[4]((u + 97) % stone_size.width, v);
   expect_refused(images, ErrorCode::data, "image 4.tif cannot be registered to image 0.tif");
 }
 
-TEST(Capture, computed_images_may_be_the_same) {
+TEST(Capture, noise_free_computed_images_may_be_identical) {
   const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
   CaptureOptions options;
   options.mode = RegistrationMode::off;
@@ -221,7 +221,7 @@ TEST(Noise, is_estimated_from_a_flat_image) {
   EXPECT_FALSE(estimate_noise(image, Mask(image.size(), 1, 255)));
 }
 
-TEST(Noise, quantization_behind_a_gamma_curve_grows_with_the_signal) {
+TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {
   PolarizedSpec spec;
   spec.full_well_e = 1e9;
   spec.read_noise_e = 0;
@@ -240,7 +240,7 @@ struct RenderedCase {
 
 class RenderedStation : public testing::TestWithParam<RenderedCase> {};
 
-TEST_P(RenderedStation, registers_to_three_hundredths_of_a_pixel) {
+TEST_P(RenderedStation, registers_to_two_hundredths_of_a_pixel) {
   const std::string scene = GetParam().scene;
   if (!std::filesystem::exists(shared_data() / "rendered" / scene)) GTEST_SKIP() << "no rendered stations";
   const PolarizedStack stack = capture_stack(rendered_station(scene, "noisy_misreg", 1), {}, two_threads());
@@ -248,7 +248,7 @@ TEST_P(RenderedStation, registers_to_three_hundredths_of_a_pixel) {
   for (std::size_t k = 1; k < truth.size(); ++k) {
     const double error_px = affine_distance_px(stack.image_from_base[k], truth[k], stack.mask.size());
     EXPECT_LT(error_px, 0.02) << k;
-    EXPECT_GT(stack.registration_rms_px[k], error_px / 6) << "the claimed uncertainty is of the size of the error";
+    EXPECT_GT(stack.registration_rms_px[k], error_px / 6) << "the stated uncertainty must not be far below the error";
     EXPECT_LT(stack.registration_rms_px[k], 0.02);
   }
 }
@@ -270,7 +270,7 @@ INSTANTIATE_TEST_SUITE_P(Stations, RenderedStation,
                                          RenderedCase{"bust"}),
                          [](const auto& name) { return name.param.scene; });
 
-/// Root mean square of the difference of (s1, s2) / s0 between two stacks with angles 0, 30, …, 150°.
+/// Median length of the difference of (s1, s2) / s0 between two stacks with angles 0, 30, …, 150°.
 double stokes_difference(const PolarizedStack& a, const PolarizedStack& b) {
   const auto stokes = [](const PolarizedStack& stack, std::size_t i) {
     Eigen::Vector3d s = Eigen::Vector3d::Zero();
@@ -296,7 +296,7 @@ TEST(Capture, undistorted_station_has_the_same_polarization) {
   const PolarizedStack undistorted = capture_stack(distorted, {}, two_threads());
   const PolarizedStack straight = capture_stack(rendered_station("relief", "lownoise", 16), {}, two_threads());
   EXPECT_EQ(undistorted.image_from_base[3], identity_affine());
-  // Two independent noises of 0.0016 each give a median length of 0.0027.
+  // Independent noise of 0.0016 in both stacks gives a median length of 0.0027.
   EXPECT_LT(stokes_difference(undistorted, straight), 0.003);
   EXPECT_DOUBLE_EQ(undistorted.camera.cx, 361.561447);
 }

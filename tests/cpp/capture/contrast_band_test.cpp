@@ -19,13 +19,13 @@ Image<float> half_size(const Image<float>& image) {
   return half;
 }
 
-TEST(ContrastBand, the_quarter_image_gives_the_same_band) {
+TEST(ContrastBand, a_given_quarter_size_image_gives_the_same_band) {
   const std::vector<Image<float>> images{AnalyticScene{}.image(odd_size, identity_affine(), 0)};
   const std::vector<Image<float>> quarters{half_size(half_size(images[0]))};
   const ContrastBands direct = contrast_bands(images, {}, {0.7, 8}, NoiseModel{}, Context{}),
                       quick = contrast_bands(images, quarters, {0.7, 8}, NoiseModel{}, two_threads());
   double largest = 0, difference = 0;
-  // Beside the border both continue the image, each in its way.
+  // Near the border the two differ, because each extends the image in its own way.
   for (int v = 30; v < odd_size.height - 30; ++v) {
     for (int u = 30; u < odd_size.width - 30; ++u) {
       largest = std::max<double>(largest, std::abs(direct.bands[0](u, v)));
@@ -37,7 +37,7 @@ TEST(ContrastBand, the_quarter_image_gives_the_same_band) {
   EXPECT_LT(difference, 0.01 * largest);
 }
 
-TEST(ContrastBand, strips_and_threads_do_not_show) {
+TEST(ContrastBand, bands_in_strips_equal_those_of_the_whole_image) {
   const std::vector<Image<float>> images{AnalyticScene{}.image(odd_size, identity_affine(), 0)};
   const ContrastBands bands = contrast_bands(images, {}, {0.7, 3}, NoiseModel{}, two_threads());
   const cv::Mat whole(odd_size.height, odd_size.width, CV_32F, const_cast<float*>(images[0].data()));

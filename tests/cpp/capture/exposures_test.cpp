@@ -8,7 +8,8 @@
 namespace malus {
 namespace {
 
-/// Images of a ramp at every angle and exposure, clipped at white, with the noise of 20000 and 8 electrons.
+/// Images of a ramp at every angle and exposure, clipped at white, with noise for a full well of 20000 electrons and a
+/// read noise of 8.
 CaptureInput exposures_of(const std::vector<double>& angles_deg, const std::vector<double>& times_s) {
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
@@ -49,17 +50,18 @@ double rms_error(const Image<float>& image, int first, int last) {
   return std::sqrt(sum / (50.0 * (last - first)));
 }
 
-TEST(Exposures, are_merged_by_their_noise_without_what_is_saturated) {
+TEST(Exposures, are_weighted_by_their_noise_without_saturated_pixels) {
   const PolarizedStack merged = capture_stack(exposures_of({0, 60, 120}, {0.04, 0.01}), unregistered(), two_threads());
   const PolarizedStack shorter = capture_stack(exposures_of({0, 60, 120}, {0.01}), unregistered(), two_threads());
   ASSERT_EQ(merged.images.size(), 3u);
   EXPECT_EQ(merged.angles_rad.size(), 3u);
   EXPECT_EQ(merged.registration_rms_px.size(), 3u);
-  // Dark: five times the light of the short exposure. Bright: the long one is saturated, the short one alone counts.
+  // In dark pixels, both exposures together have five times the light of the short one. In bright pixels, the long
+  // exposure is saturated, so that only the short one counts.
   EXPECT_LT(rms_error(merged.images[0], 0, 50), 0.55 * rms_error(shorter.images[0], 0, 50));
   EXPECT_NEAR(rms_error(merged.images[0], 150, 200) / rms_error(shorter.images[0], 150, 200), 1, 0.1);
   EXPECT_EQ(std::count(merged.saturated.begin(), merged.saturated.end(), 255), 0);
-  // One noise model has to serve all pixels: in the dark, where the long exposure counts everywhere, it says too much.
+  // One noise model serves all pixels. It overestimates the noise of dark pixels, where the long exposure is usable.
   double expected = 0;
   for (int u = 0; u < 50; ++u) expected += merged.noise.variance(0.002 * (u + 1)) / 50;
   const double ratio = rms_error(merged.images[0], 0, 50) / std::sqrt(expected);
@@ -67,7 +69,7 @@ TEST(Exposures, are_merged_by_their_noise_without_what_is_saturated) {
   EXPECT_GT(ratio, 0.7);
 }
 
-TEST(Exposures, are_saturated_where_all_are) {
+TEST(Exposures, merge_to_saturated_pixels_only_where_all_are_saturated) {
   const PolarizedStack stack = capture_stack(exposures_of({0, 60, 120}, {0.08, 0.04}), unregistered(), two_threads());
   EXPECT_EQ(stack.saturated(199, 10), 255);
   EXPECT_EQ(stack.saturated(100, 10), 0);

@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-TEST(Mosaic, a_ramp_comes_out_in_all_four_channels_at_the_same_place) {
+TEST(Mosaic, a_ramp_is_reproduced_without_shift_in_all_four_channels) {
   const Size size{200, 180};
   Image<float> mosaic(size);
   for (int v = 0; v < size.height; ++v) {
@@ -21,15 +21,15 @@ TEST(Mosaic, a_ramp_comes_out_in_all_four_channels_at_the_same_place) {
   }
   const auto channels = demosaic(mosaic, "m.png", two_threads()).channels;
   for (const Image<float>& channel : channels) {
-    // Mirroring at the border bends the ramp; that reaches as far inwards as interpolation and smoothing do in all
-    // rounds.
+    // Mirroring at the border distorts the ramp as far inwards as interpolation and smoothing reach in all rounds
+    // together.
     for (int v = 70; v < 110; ++v) {
       for (int u = 70; u < 130; ++u) EXPECT_NEAR(channel(u, v), mosaic(u, v), 1e-5);
     }
   }
 }
 
-TEST(Mosaic, measured_samples_pass_through_in_the_order_of_the_cell) {
+TEST(Mosaic, measured_samples_are_kept_in_the_order_of_the_cell) {
   Image<float> mosaic({12, 8});
   for (std::size_t i = 0; i < mosaic.count(); ++i) mosaic[i] = static_cast<float>(i);
   const auto channels = demosaic(mosaic, "m.png", Context{}).channels;
@@ -39,7 +39,7 @@ TEST(Mosaic, measured_samples_pass_through_in_the_order_of_the_cell) {
   EXPECT_NEAR(channels[3](5, 3), mosaic(5, 3), 1e-3);
 }
 
-TEST(Mosaic, a_saturated_sample_marks_the_pixels_it_makes) {
+TEST(Mosaic, a_saturated_sample_flags_the_pixels_interpolated_from_it) {
   Mask saturated({24, 24});
   saturated(10, 10) = 255;
   const Mask spread = spread_flags(saturated, 2);
@@ -48,9 +48,9 @@ TEST(Mosaic, a_saturated_sample_marks_the_pixels_it_makes) {
   EXPECT_EQ(std::count(spread.begin(), spread.end(), 255), 25);
 }
 
-TEST(Mosaic, the_smallest_mosaic_is_mirrored_as_often_as_filters_reach) {
-  // The widest filter reaches nine pixels to each side of eight. Mirrored once by hand, with seven pixels more on each
-  // side, the mosaic is the same to a filter; its polarizers are then the other way round in the cell.
+TEST(Mosaic, the_smallest_mosaic_is_mirrored_repeatedly_as_far_as_filters_reach) {
+  // The widest filter reaches nine pixels to each side, but the mosaic has only eight. A copy that the test mirrors
+  // once, with seven more pixels on each side, must give the same result. Its cell has the polarizers in reverse order.
   constexpr int side = 8, more = 7;
   Image<float> small({side, side}), large({side + 2 * more, side + 2 * more});
   std::mt19937 random(5);
@@ -76,7 +76,7 @@ TEST(Mosaic, odd_or_tiny_mosaics_are_input_errors) {
   expect_refused({6, 24}, "6 x 24");
 }
 
-/// A textured, polarized scene, all polarizers at every pixel; `tint` scales it.
+/// A textured, polarized scene through one polarizer, sampled at every pixel and scaled by `tint`.
 Image<float> polarizer_image(Size size, double angle_deg, double tint) {
   Image<float> image = AnalyticScene{0.3}.image(size, identity_affine(), angle_deg * std::numbers::pi / 180);
   for (float& value : image) value *= static_cast<float>(tint);
@@ -96,7 +96,7 @@ Image<float> mosaic_of(Size size, double tint = 1) {
   return mosaic;
 }
 
-/// RMS of (s1, s2) / s0 against the truth, away from the border and from places without light.
+/// RMS error of (s1, s2) / s0, away from the border and from dark pixels.
 double polarization_error(const std::array<Image<float>, 4>& channels) {
   double sum = 0, count = 0;
   std::array<Image<float>, 4> truth;
@@ -115,7 +115,7 @@ double polarization_error(const std::array<Image<float>, 4>& channels) {
   return std::sqrt(sum / count);
 }
 
-TEST(Mosaic, texture_makes_less_polarization_than_by_bilinear_channels) {
+TEST(Mosaic, texture_causes_less_false_polarization_than_bilinear_interpolation) {
   const Size size{160, 120};
   const Image<float> mosaic = mosaic_of(size);
   std::array<Image<float>, 4> bilinear;
@@ -134,7 +134,7 @@ TEST(Mosaic, texture_makes_less_polarization_than_by_bilinear_channels) {
   EXPECT_LT(error, 0.03);
 }
 
-/// Mosaic of a color camera: tint by the color filter over each cell.
+/// Tints by the color filter over each cell, in the mosaic of a color camera.
 constexpr std::array<double, 3> tints{0.5, 1.0, 0.8};
 
 Image<float> color_mosaic(Size size, const std::string& colors) {
@@ -150,7 +150,7 @@ Image<float> color_mosaic(Size size, const std::string& colors) {
   return mosaic;
 }
 
-TEST(Mosaic, colors_are_told_apart) {
+TEST(Mosaic, colors_are_separated) {
   const Size size{96, 64};
   for (const std::string colors : {"RGGB", "BGGR", "GRBG", "GBRG"}) {
     const auto planes = split_colors(color_mosaic(size, colors), colors, "m.png", two_threads());
@@ -171,12 +171,12 @@ TEST(Mosaic, colors_are_told_apart) {
       "multiples of 4");
 }
 
-TEST(Mosaic, a_color_mosaic_is_split_nearly_as_well_as_a_grey_one) {
+TEST(Mosaic, a_color_mosaic_is_split_nearly_as_well_as_a_gray_one) {
   const Size size{160, 120};
   const double grey = polarization_error(demosaic(mosaic_of(size), "m.png", two_threads()).channels);
   for (const std::string colors : {"RGGB", "GBRG"}) {
     const ColorMosaic split = demosaic_color(color_mosaic(size, colors), colors, "m.png", two_threads());
-    // A color's samples are twice as far apart as the polarizers'.
+    // Cells of one color are twice as far apart as cells of a mosaic without colors.
     EXPECT_LT(polarization_error(split.grey.channels), 5 * grey) << colors;
     EXPECT_LT(polarization_error(split.grey.channels), 0.012) << colors;
     for (int v = 16; v < size.height - 16; v += 8) {
@@ -223,7 +223,7 @@ TEST(Mosaic, a_color_station_keeps_its_color) {
   EXPECT_NEAR(blue / green, 0.8, 0.01);
 }
 
-/// Mean Stokes vector of a 100 × 100 px square, and the phase from it in degrees.
+/// Phase of the mean Stokes vector of a 100 × 100 px square, in degrees.
 double phase_deg(const PolarizedStack& stack, int u0, int v0) {
   double s1 = 0, s2 = 0;
   for (int v = v0; v < v0 + 100; ++v) {
@@ -238,12 +238,12 @@ double phase_deg(const PolarizedStack& stack, int u0, int v0) {
   return phase < 0 ? phase + 180 : phase;
 }
 
-/// The photograph shows four polarizers that stand on a window sill with hand-written labels. Light from the sill
-/// itself is polarized along it (phase 0°, as specular reflection from a level surface must be), and the rims of
-/// fruits on a table in the same camera's other photograph turn counter-clockwise, so the cell's angles are those of
-/// this project. The labels then count clockwise from the vertical: axis = 90° − label. The filters were set by hand:
+/// The photograph shows four polarizers with hand-written labels on a window sill. Light from the sill itself is
+/// polarized along it (phase 0°, as specular reflection from a level surface must be). In another photograph by the
+/// same camera, the phase along the rims of fruits turns counter-clockwise. So the cell's angles follow this project's
+/// convention, and the labels count clockwise from the vertical: axis = 90° − label. The filters were set by hand:
 /// their axes are uniform over the filter to 0.6° but up to 8° off the label.
-TEST(Mosaic, filters_of_known_axis) {
+TEST(Mosaic, phases_agree_with_filters_of_known_axis) {
   const auto path = shared_data() / "real/polanalyser_imx250/polarizer_IMX250MZR.png";
   if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
   PolarizedSpec spec;

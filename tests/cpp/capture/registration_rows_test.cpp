@@ -9,7 +9,7 @@ namespace {
 constexpr Size rows_size{160, 90};
 constexpr int length = BlockRow::length;
 
-TEST(RegistrationRows, resample_as_images_are) {
+TEST(RegistrationRows, are_resampled_like_whole_images) {
   const Image<float> scene = AnalyticScene{}.image(rows_size, identity_affine(), 0);
   // Rotation and scale large enough that a row crosses samples of the source in both directions.
   for (const double turn : {0.0, 0.03, -0.02}) {

@@ -58,14 +58,14 @@ TEST(Registration, ignores_exposure_and_a_moving_patch) {
   EXPECT_LT(affine_distance_px(results[1].image_from_base, moved_maps[1], registered_size), 0.05);
 }
 
-TEST(Registration, polarization_that_differs_between_images_costs_little) {
+TEST(Registration, differing_polarization_costs_little_accuracy) {
   const auto results = register_images(scene_images(moved_maps, 0.2), NoiseModel{}, {}, two_threads());
   for (std::size_t k = 1; k < 4; ++k) {
     EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], registered_size), 0.1) << k;
   }
 }
 
-TEST(Registration, identical_images_do_not_move_at_sizes_of_a_fast_fourier_transform) {
+TEST(Registration, identical_images_do_not_move_at_fft_sizes) {
   const Image<float> image = AnalyticScene{0}.image({240, 180}, identity_affine(), 0);
   EXPECT_LT(register_images({image, image}, NoiseModel{}, {}, Context{})[1].displacement_px, 1e-6);
 }
@@ -80,7 +80,7 @@ TEST(Registration, threads_change_nothing) {
 }
 
 TEST(Registration, a_part_of_a_large_image_is_enough) {
-  // More pixels than are compared.
+  // The image has more pixels than registration compares.
   const Size large{2400, 1400};
   const Affine map = similarity(large, 0.0004, 1.0002, 1.7, -0.6);
   std::vector<Image<float>> images;
@@ -115,7 +115,7 @@ TEST(Registration, too_large_a_displacement_is_implausible) {
   EXPECT_NE(results[1].message.find("1 % of the image width"), std::string::npos) << results[1].message;
 }
 
-TEST(Registration, another_scene_is_not_ok) {
+TEST(Registration, images_of_another_scene_are_not_accepted) {
   auto images = scene_images({identity_affine(), identity_affine()}, 0);
   images.push_back(Image<float>(registered_size));
   for (int v = 0; v < registered_size.height; ++v) {
@@ -124,7 +124,7 @@ TEST(Registration, another_scene_is_not_ok) {
   EXPECT_NE(register_images(images, NoiseModel{}, {}, two_threads())[2].status, RegistrationStatus::ok);
 }
 
-TEST(Registration, one_iteration_has_not_converged) {
+TEST(Registration, one_iteration_is_reported_as_not_converged) {
   RegistrationOptions options;
   options.max_iterations = 1;
   const auto results =

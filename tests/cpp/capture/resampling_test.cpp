@@ -55,7 +55,7 @@ TEST(Resampling, bicubic_weights_are_those_of_opencv) {
   }
 }
 
-TEST(Resampling, support_that_leaves_the_image_is_not_valid) {
+TEST(Resampling, pixels_whose_support_leaves_the_image_are_not_valid) {
   Affine map = identity_affine();
   map.col(2) << 3.5, -2.5;
   const Resampled moved =

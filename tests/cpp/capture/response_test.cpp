@@ -65,7 +65,7 @@ TEST(Response, table_in_dn_is_interpolated_and_scaled) {
   EXPECT_FLOAT_EQ(linear.intensity(0, 0), 5.0f / 40);
 }
 
-TEST(Response, numbers_of_a_file_go_through_the_curve) {
+TEST(Response, every_pixel_value_of_a_file_is_mapped_by_the_curve) {
   for (const std::string response : {"linear", "srgb", "gamma:2.2"}) {
     const ResponseCurve curve = response_curve(response, "response");
     const Levels levels{3, 250, 1.0 / 247, 0.995};
@@ -80,7 +80,7 @@ TEST(Response, numbers_of_a_file_go_through_the_curve) {
   }
 }
 
-TEST(Response, one_column_is_evenly_spaced) {
+TEST(Response, a_table_of_one_column_is_evenly_spaced) {
   EXPECT_DOUBLE_EQ(read_response_table(table_file("0\n1\n4\n")).linearize(0.75), 2.5 / 4);
 }
 

@@ -20,7 +20,7 @@ inline Context two_threads() {
   return context;
 }
 
-/// Input of a rendered station, as its station file states it.
+/// Input of a rendered station, with the values of its station file.
 inline CaptureInput rendered_station(const std::string& scene, const std::string& set, int frames) {
   const auto folder = shared_data() / "rendered" / scene;
   PolarizedSpec spec;
@@ -73,7 +73,7 @@ struct AnalyticScene {
     return (0.4 + texture) * (1 + degree * std::cos(2 * (angle_rad - phase)));
   }
 
-  /// The image in which pixel map(x) shows what pixel x of the scene shows.
+  /// The scene moved by `map`: pixel map(x) of the image shows pixel x of the scene.
   Image<float> image(Size size, const Affine& map, double angle_rad) const {
     Image<float> result(size);
     const Eigen::Matrix2d inverse = map.leftCols<2>().inverse();

@@ -14,7 +14,7 @@ bool in_disk(int u, int v) {
   return std::hypot(u - 30, v - 20) <= 12;
 }
 
-/// A red disk on blue, a little uneven.
+/// A red disk on blue, both slightly uneven.
 Image<std::uint8_t> disk() {
   Image<std::uint8_t> picture(picture_size, 3);
   for (int v = 0; v < picture_size.height; ++v) {
@@ -35,7 +35,7 @@ int wrong_pixels(const Mask& mask) {
   return wrong;
 }
 
-TEST(SelectObject, SimilarPixelsConnectedWithTheSeed) {
+TEST(SelectObject, SelectsSimilarPixelsConnectedWithTheSeed) {
   EXPECT_EQ(wrong_pixels(select_similar(disk(), 30, 20, 12)), 0);
   EXPECT_THROW(select_similar(disk(), 60, 20, 12), Error);
 }

@@ -54,8 +54,8 @@ TEST(LensCamera, PinholeProjectsLikeTheLensWithoutDistortion) {
   EXPECT_NEAR((pixel - lens.pinhole().project({0.1, -0.2, 1.0})).norm(), 0, 1e-12);
 }
 
-TEST(LensCamera, BrownIsMeasuredToIdealWithImageYUp) {
-  // A lens with k1 > 0 in the measured → ideal direction moves the ideal point outwards.
+TEST(LensCamera, BrownMapsMeasuredToIdealPointsWithYUp) {
+  // With k1 > 0 in the measured → ideal direction, the ideal point lies farther out than the measured one.
   const LensCamera lens{LensModel::brown, {101, 101}, {50, 0.1, 0, 0, 1e-3, 0, 0, 0, 0, 0}};
   const Eigen::Vector2d ideal = lens.undistort({60, 50});  // 1 mm to the right of the center
   EXPECT_NEAR(ideal.x(), (1 + 1e-3) / 50, 1e-12);
@@ -66,7 +66,7 @@ TEST(LensCamera, BrownIsMeasuredToIdealWithImageYUp) {
   EXPECT_NEAR(shifted.pinhole().cy, 40, 1e-12);
 }
 
-TEST(LensCamera, BrownDecenteringByHand) {
+TEST(LensCamera, BrownDecenteringAgreesWithHandCalculation) {
   // Eq 13 at x = 2 mm, y = −1 mm (up), r² = 5: p1 = .001 adds .001 · (5 + 2 · 4) = .013 to x and 2 · .001 · 2 · −1 =
   // −.004 to y; p2 = .001 adds −.004 to x and .001 · (5 + 2 · 1) = .007 to y; p3 = .1 makes both 1.5 times as large.
   struct Case {

@@ -7,7 +7,7 @@
 namespace malus {
 namespace {
 
-TEST(Image, has_its_value_everywhere_small_or_large) {
+TEST(Image, is_filled_with_its_value_at_any_size) {
   for (const Size size : {Size{3, 5}, Size{1500, 1100}}) {
     Image<float> image(size, 1, 0.25f);
     EXPECT_EQ(image.count(), size.area());
@@ -19,7 +19,7 @@ TEST(Image, has_its_value_everywhere_small_or_large) {
   }
 }
 
-TEST(Image, uninitialized_ones_have_the_size_that_was_asked_for) {
+TEST(Image, uninitialized_images_have_the_requested_size) {
   auto image = Image<float>::uninitialized({7, 2}, 3);
   EXPECT_EQ(image.size(), (Size{7, 2}));
   EXPECT_EQ(image.channels(), 3);

@@ -19,7 +19,7 @@ Context with_threads(int threads) {
   return context;
 }
 
-/// Two blocks that wait for each other: only two threads can end them.
+/// Runs two blocks that wait for each other, so that only two threads can finish them.
 void meet(std::atomic<int>& here) {
   parallel_for(with_threads(2), 2, 1, [&](std::size_t, std::size_t) {
     here.fetch_add(1);
@@ -27,7 +27,7 @@ void meet(std::atomic<int>& here) {
   });
 }
 
-/// Adds 20 · 45 in loops within loops.
+/// Sums up 20 · 45 in nested loops.
 int nested_sum() {
   std::atomic<int> sum{0};
   parallel_for(with_threads(3), 20, 1, [&](std::size_t, std::size_t) {
@@ -42,7 +42,7 @@ TEST(NestedLoops, SeveralThreadsWorkAtTheSameTime) {
   EXPECT_EQ(here.load(), 2);
 }
 
-TEST(NestedLoops, EndOnlyWhenAllBlocksHave) {
+TEST(NestedLoops, EndOnlyWhenAllBlocksHaveEnded) {
   for (int round = 0; round < 200; ++round) {
     std::atomic<int> begun{0}, ended{0};
     parallel_for(with_threads(4), 4, 1, [&](std::size_t, std::size_t) {
@@ -55,7 +55,7 @@ TEST(NestedLoops, EndOnlyWhenAllBlocksHave) {
   }
 }
 
-TEST(NestedLoops, AndLoopsOfSeveralThreadsDoNotWaitForEachOther) {
+TEST(NestedLoops, StartedBySeveralThreadsDoNotDeadlock) {
   std::vector<int> sums(4);
   {
     std::vector<std::jthread> threads;
@@ -64,11 +64,11 @@ TEST(NestedLoops, AndLoopsOfSeveralThreadsDoNotWaitForEachOther) {
   for (const int sum : sums) EXPECT_EQ(sum, 20 * 45);
 }
 
-TEST(NestedLoops, WhoIsDoneHelpsWithTheLoopsOfTheOthers) {
+TEST(NestedLoops, IdleThreadsHelpWithInnerLoops) {
 #ifdef __SANITIZE_THREAD__
   GTEST_SKIP() << "inner loops have one thread under ThreadSanitizer";
 #endif
-  // Whichever thread has the short part of the outer loop: the calls within the long one wait for each other.
+  // The inner blocks of the longer outer block wait for each other, so that the other outer block's thread must help.
   for (const std::size_t longer : {0U, 1U}) {
     std::atomic<int> here{0};
     parallel_for(with_threads(2), 2, 1, [&](std::size_t part, std::size_t) {
@@ -78,7 +78,7 @@ TEST(NestedLoops, WhoIsDoneHelpsWithTheLoopsOfTheOthers) {
   }
 }
 
-TEST(NestedLoops, TakeNoMoreThreadsThanTheOuterOne) {
+TEST(NestedLoops, UseNoMoreThreadsThanTheOuterLoop) {
   std::atomic<int> at_work{0}, most{0};
   parallel_for(with_threads(3), 6, 1, [&](std::size_t, std::size_t) {
     parallel_for(with_threads(3), 20, 1, [&](std::size_t, std::size_t) {
@@ -92,7 +92,7 @@ TEST(NestedLoops, TakeNoMoreThreadsThanTheOuterOne) {
   EXPECT_LE(most.load(), 3);
 }
 
-TEST(NestedLoops, WhoWaitsForAnInnerOneBeginsNoOtherBlockOfTheOuterOne) {
+TEST(NestedLoops, AThreadWaitingForAnInnerLoopBeginsNoOuterBlock) {
   thread_local int depth = 0;
   std::atomic<int> deepest{0};
   parallel_for(with_threads(3), 30, 1, [&](std::size_t, std::size_t) {
@@ -105,7 +105,7 @@ TEST(NestedLoops, WhoWaitsForAnInnerOneBeginsNoOtherBlockOfTheOuterOne) {
   EXPECT_EQ(deepest.load(), 0);
 }
 
-TEST(NestedLoops, AForkedChildHasThreadsOfItsOwn) {
+TEST(NestedLoops, AForkedChildStartsItsOwnThreads) {
   EXPECT_EQ(nested_sum(), 20 * 45);
   const pid_t child = fork();
   ASSERT_GE(child, 0);
@@ -113,7 +113,7 @@ TEST(NestedLoops, AForkedChildHasThreadsOfItsOwn) {
     alarm(20);
     std::atomic<int> here{0};
     meet(here);
-    // Not _exit: what the parent's threads left behind must not keep the child from its end.
+    // Not _exit: the state left by the parent's threads must not keep the child from exiting normally.
     std::exit(here.load() == 2 && nested_sum() == 20 * 45 ? 0 : 1);
   }
   int status = -1;

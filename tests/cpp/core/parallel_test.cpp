@@ -39,10 +39,10 @@ TEST(Parallel, SumIsTheSameToTheBitWithAnyNumberOfThreads) {
   EXPECT_EQ(sum(1), sum(5));
 }
 
-TEST(Parallel, RethrowsTheErrorOfTheFirstBlockThatFails) {
+TEST(Parallel, RethrowsTheErrorOfTheLowestFailingBlock) {
   Context context;
   context.threads = 3;
-  // The second and third fail long before the first does.
+  // The second and third block fail long before the first one.
   std::atomic<int> others{0};
   const auto work = [&](std::size_t block, std::size_t) {
     if (block > 0) {

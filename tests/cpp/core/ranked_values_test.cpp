@@ -17,7 +17,7 @@ RankedValues::Source source_of(const std::vector<float>& values) {
   };
 }
 
-TEST(RankedValues, AreThoseOfTheSortedListWithAnyNumberOfThreads) {
+TEST(RankedValues, AgreeWithSortingWithAnyNumberOfThreads) {
   std::mt19937 random(4);
   std::normal_distribution<float> normal(0.1f, 3.0f);
   std::vector<float> values(2'500'000);
@@ -39,7 +39,7 @@ TEST(RankedValues, AreThoseOfTheSortedListWithAnyNumberOfThreads) {
   }
 }
 
-TEST(RankedValues, OfNeighbouringNumbersAndOfNone) {
+TEST(RankedValues, AreRightForAdjacentFloatsAndForNoValues) {
   std::vector<float> values;
   for (float value = 1; values.size() < 300; value = std::nextafter(value, 2.0f)) values.push_back(value);
   std::ranges::reverse(values);

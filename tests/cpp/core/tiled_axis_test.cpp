@@ -18,7 +18,7 @@ TEST(TiledAxis, WeightsAddUpToOneAndAreZeroOutsideTheTiles) {
         if (x < axis.first(tile) || x >= axis.last(tile)) {
           EXPECT_EQ(weight, 0) << tile << ' ' << x;
         }
-        // Nearer to a tile's edge than the margin less the ramp it is held.
+        // Pixels closer to a tile's edge than margin − ramp have no weight.
         if (tile > 0 && x < axis.first(tile) + 12 - ramp) {
           EXPECT_EQ(weight, 0) << tile << ' ' << x;
         }

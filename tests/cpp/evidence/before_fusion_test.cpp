@@ -34,7 +34,7 @@ TEST(PhaseAgreement, WarnsOfAnotherSurface) {
   EXPECT_GT(found.unrelated_share, 0.1);
 }
 
-TEST(PhaseAgreement, SeesWrongScales) {
+TEST(PhaseAgreement, DetectsWrongPolarizerScales) {
   EvidenceScene scene;
   for (float& phi : scene.state.phi) phi = std::fmod(phi + 0.4F, std::numbers::pi_v<float>);
   const PhaseAgreement turned = phase_agreement(scene.state, &scene.camera, scene.normals, {});
@@ -46,7 +46,7 @@ TEST(PhaseAgreement, SeesWrongScales) {
   EXPECT_EQ(against.finding.severity, Severity::error) << against.finding.text();
 }
 
-TEST(PhaseAgreement, SaysWhereItCannotTell) {
+TEST(PhaseAgreement, ReportsWhenThePhaseCannotBeChecked) {
   const EvidenceScene scene;
   const Image<float> level(scene.camera.size, 1, 100);
   const PhaseAgreement flat =
@@ -62,7 +62,7 @@ TEST(PhaseAgreement, SaysWhereItCannotTell) {
   EXPECT_NE(weak.finding.message.find("too little polarization"), std::string::npos) << weak.finding.text();
 }
 
-TEST(ObjectSize, SaysItInWords) {
+TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   const Pinhole camera{{1000, 800}, 2000, 2000, 500, 400};
   const auto size_of = [&](double width, double distance, const std::string& unit) {
     std::vector<Eigen::Vector3d> points;
@@ -89,7 +89,7 @@ TEST(ObjectSize, SaysItInWords) {
   EXPECT_EQ(coin_in_metres.finding.severity, Severity::warning) << coin_in_metres.finding.text();
   EXPECT_NE(coin_in_metres.finding.suggestion.find("unit = \"mm\""), std::string::npos);
 
-  // Inclined, and most of it on one side: a pixel is as large as in the middle of the image, where quality.json has it.
+  // An inclined object, mostly on one side of the view: the GSD is taken at the image's center, as in quality.json.
   std::vector<Eigen::Vector3d> inclined;
   for (int i = -20; i <= 200; ++i) inclined.emplace_back(i, 0, 590 + 0.5 * i);
   EXPECT_NEAR(object_size(inclined, camera, "mm").gsd, 0.295, 0.002);
@@ -138,14 +138,15 @@ TEST(BeforeFusion, AnInterpolatedPriorThatThePolarizationContradictsIsACaution) 
   EXPECT_EQ(phase_with(scene.depth, hardly).severity, Severity::note);
 }
 
-TEST(ContrastCheck, TheRatioFollowsTheExponent) {
+TEST(ContrastCheck, ContrastIsProportionalToTheExponent) {
   const auto color_of = [](float exponent) {
     EvidenceScene scene;
     for (float& value : scene.everything) value = std::pow(value, exponent);
     return check_alignment(scene.cloud, scene.pose, scene.images(), {}).color;
   };
   const AlignmentEvidence linear = color_of(1), encoded = color_of(1 / 2.2F);
-  EXPECT_GT(linear.contrast, 1.35);  // shading is the images' alone, so that it is more than 2.2
+  EXPECT_GT(linear.contrast,
+            1.35);  // 2.2 from the encoding alone; shading, which the colors lack, raises it
   EXPECT_NEAR(encoded.contrast / linear.contrast, 1 / 2.2, 0.08);
 }
 
@@ -165,8 +166,8 @@ TEST(ContrastCheck, WarnsOfImagesThatAreNotLinear) {
   EXPECT_EQ(decoded.severity, Severity::warning);
   EXPECT_NE(decoded.message.find("decoded twice"), std::string::npos) << decoded.text();
   EXPECT_NE(finding_of(4.8, 0.6, false, "srgb").suggestion.find("\"linear\""), std::string::npos);
-  EXPECT_EQ(finding_of(1.24, 0.47, false).severity, Severity::note) << "what they share may be linear";
-  EXPECT_EQ(finding_of(3.6, 0.5, false).severity, Severity::warning) << "nearer to decoded twice";
+  EXPECT_EQ(finding_of(1.24, 0.47, false).severity, Severity::note) << "the contrast they share may be linear";
+  EXPECT_EQ(finding_of(3.6, 0.5, false).severity, Severity::warning) << "closer to decoded twice than to linear";
   EXPECT_EQ(finding_of(1, 0.6, true).severity, Severity::note);
   EXPECT_EQ(finding_of(1, 0.2, false).severity, Severity::note);
   EXPECT_TRUE(finding_of(1, 0.2, false).figures.empty());

@@ -39,8 +39,8 @@ class Waves {
   std::vector<Eigen::Vector3d> waves_;
 };
 
-/// A textured bumpy oval (or another relief), 100 mm from the camera, as the camera sees it with diffuse polarization;
-/// and its cloud.
+/// A textured bumpy oval (or another relief) 100 mm from the camera: the camera's view of it with diffuse polarization,
+/// and its point cloud.
 struct EvidenceScene {
   Pinhole camera{{300, 220}, 600, 600, 150.3, 108.6};
   Pose pose{Eigen::AngleAxisd(0.7, Eigen::Vector3d(0.2, 0.9, 0.1).normalized()).toRotationMatrix(), {3, -2, 40}};
@@ -50,13 +50,13 @@ struct EvidenceScene {
   Image<float> everything;  ///< intensity
   PointCloud cloud;         ///< world frame
 
-  /// Of a pixel; RMS about 1.
+  /// Value at a pixel; RMS about 1.
   using Pattern = std::function<double(double u, double v)>;
 
   explicit EvidenceScene(bool has_texture = true, unsigned seed = 1)
       : EvidenceScene(Waves(seed, 25, 80), has_texture ? Pattern(Waves(seed + 1, 6, 30)) : nullptr) {}
 
-  /// texture: empty = none.
+  /// An empty `texture` means no texture and no colors.
   EvidenceScene(const Pattern& bumps, const Pattern& texture) {
     for (int v = 0; v < camera.size.height; ++v) {
       for (int u = 0; u < camera.size.width; ++u) {
@@ -77,7 +77,7 @@ struct EvidenceScene {
 
   AlignmentScene images() const { return {state, everything, object, camera, "mm"}; }
 
-  /// The cloud after a motion in the camera frame.
+  /// The cloud moved in the camera frame.
   PointCloud moved(const Eigen::Affine3d& motion) const {
     PointCloud result = cloud;
     for (Eigen::Vector3d& point : result.points) point = pose.world_from_cam(motion * pose.cam_from_world(point));
@@ -103,7 +103,7 @@ struct EvidenceScene {
     cloud.points.push_back(pose.world_from_cam(depth(u, v) * camera.ray(u, v)));
     cloud.normals.push_back((pose.rotation.transpose() * normal).cast<float>());
     if (!has_colors) return;
-    // As a display shows it.
+    // Gamma-encoded as for a display.
     const auto grey = static_cast<std::uint8_t>(std::clamp(255 * std::pow(albedo, 1 / 2.2), 0.0, 255.0));
     cloud.colors.push_back({grey, grey, grey});
   }

@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-/// Images of varied intensity, degree (up to 0.5) and phase, with noise of 0.3 % and after a response curve.
+/// Images of varying intensity, degree (up to 0.5) and phase, with noise of 0.3 %, encoded with a response curve.
 std::vector<Image<float>> images_at(
     const std::vector<double>& angles_rad, const std::function<double(double)>& curve = [](double x) { return x; }) {
   std::mt19937 random(3);
@@ -51,7 +51,7 @@ TEST(ImageOrder, SuggestsTheOrderThatFits) {
   EXPECT_NE(wrong.finding.suggestion.find("[0, 30, 60, 90, 120, 150]"), std::string::npos) << wrong.finding.text();
 }
 
-/// Unpolarized light and a fine texture; each image lies this far to the right.
+/// Images of a fine texture in unpolarized light, each shifted to the right by this many pixels.
 std::vector<Image<float>> misplaced_images(const std::vector<double>& right_px) {
   std::mt19937 random(5);
   std::normal_distribution<double> noise(0, 0.001);
@@ -67,9 +67,9 @@ std::vector<Image<float>> misplaced_images(const std::vector<double>& right_px) 
   return images;
 }
 
-TEST(ImageOrder, TextureOfMisplacedImagesIsNoPolarization) {
+TEST(ImageOrder, TextureOfMisregisteredImagesIsNotTakenForPolarization) {
   const std::vector<double> angles = every(30, 6);
-  // The displacements are a sinusoid of the angles in another order.
+  // With the angles in another order, the displacements would be a sinusoid.
   std::vector<double> displacements;
   for (const int k : {0, 3, 1, 5, 4, 2})
     displacements.push_back(0.1 * std::cos(2 * angles[static_cast<std::size_t>(k)]));
@@ -77,21 +77,21 @@ TEST(ImageOrder, TextureOfMisplacedImagesIsNoPolarization) {
   EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
 }
 
-TEST(ImageOrder, TriesExchangesOfManyImages) {
+TEST(ImageOrder, FindsTwoExchangedImagesAmongMany) {
   const std::vector<double> angles = every(15, 12);
   std::vector<double> shuffled = angles;
   std::swap(shuffled[2], shuffled[7]);
   EXPECT_EQ(check_image_order(images_at(angles), shuffled, {}, {}).angles_rad, angles);
 }
 
-TEST(ImageOrder, CannotTellFromThreeImages) {
+TEST(ImageOrder, SaysThatThreeImagesCannotBeChecked) {
   const std::vector<double> angles = every(60, 3);
   const ImageOrder found = check_image_order(images_at(angles), angles, {}, {});
   EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos);
   EXPECT_THROW(check_image_order(images_at(angles), every(45, 4), {}, {}), Error);
 }
 
-TEST(ResponseCheck, TellsLinearFromEncodedAndDecoded) {
+TEST(ResponseCheck, DistinguishesLinearEncodedAndTwiceDecodedImages) {
   for (const int count : {4, 6}) {
     const std::vector<double> angles = every(180.0 / count, count);
     const ResponseCheck linear = check_response(images_at(angles), angles, {}, "linear", {});
@@ -107,12 +107,12 @@ TEST(ResponseCheck, TellsLinearFromEncodedAndDecoded) {
     EXPECT_EQ(twice.finding.severity, Severity::warning) << twice.bend << " ± " << twice.bend_sigma;
     EXPECT_NEAR(twice.bend, 0.136, 0.04);
     const ResponseCheck otherwise = check_response(decoded, angles, {}, "linear", {});
-    EXPECT_EQ(otherwise.finding.severity, Severity::note) << "no response is to be asked for: " << otherwise.bend;
+    EXPECT_EQ(otherwise.finding.severity, Severity::note) << "no other response may be suggested: " << otherwise.bend;
     EXPECT_FALSE(says_linear(otherwise.finding));
   }
 }
 
-TEST(ResponseCheck, AnglesThatFitAResponseCurveDoNotHideIt) {
+TEST(ResponseCheck, AnglesFittedToAResponseCurveLeaveTheFindingOpen) {
   Finding linear, bent;
   linear.check = bent.check = "response";
   linear.figures = {{"bend", 0.01}, {"bend_sigma", 0.003}};
@@ -126,7 +126,7 @@ TEST(ResponseCheck, AnglesThatFitAResponseCurveDoNotHideIt) {
   EXPECT_EQ(unknown.figures.front().second, 0.13);
 }
 
-TEST(ResponseCheck, SaysThatThreeAnglesCannotTell) {
+TEST(ResponseCheck, SaysThatThreeAnglesCannotBeChecked) {
   const std::vector<double> angles = every(60, 3);
   const ResponseCheck found = check_response(images_at(angles), angles, {}, "linear", {});
   EXPECT_EQ(found.finding.severity, Severity::note);

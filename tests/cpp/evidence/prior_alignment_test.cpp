@@ -16,18 +16,18 @@ PriorAlignment check(const EvidenceScene& scene, const PointCloud& cloud) {
   return check_alignment(cloud, scene.pose, scene.images(), {});
 }
 
-/// A turn about the object's middle (clockwise as displayed), a change of its size, and a shift in pixels.
+/// A rotation about the object's center (clockwise as displayed), a scaling and a shift in pixels.
 Eigen::Affine3d motion(double right_px, double down_px, double clockwise_deg = 0, double scale = 1) {
   const Eigen::Vector3d middle(0, 0, 100);
   Eigen::Affine3d result = Eigen::Affine3d::Identity();
   result.linear() = scale * Eigen::AngleAxisd(clockwise_deg * degree, Eigen::Vector3d::UnitZ()).toRotationMatrix();
-  // The size changes across the view only, so that the distance stays.
+  // Scale only across the view, so that the distance does not change.
   result.linear()(2, 2) = 1;
   result.translation() = middle - result.linear() * middle + mm_per_px * Eigen::Vector3d(right_px, down_px, 0);
   return result;
 }
 
-TEST(PriorAlignment, NothingIsSaidOfACloudInItsPlace) {
+TEST(PriorAlignment, ACorrectlyPlacedCloudGivesNoWarning) {
   const EvidenceScene scene;
   const PriorAlignment found = check(scene, scene.cloud);
   EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
@@ -58,7 +58,7 @@ TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
   EXPECT_NE(larger.finding.message.find("6 % too large"), std::string::npos) << larger.finding.message;
 }
 
-TEST(PriorAlignment, SaysWhichOffsetsWouldBeTold) {
+TEST(PriorAlignment, StatesTheSmallestDetectableOffsets) {
   const EvidenceScene scene;
   const PriorAlignment right = check(scene, scene.cloud);
   EXPECT_GT(right.told_turn_deg, 0);
@@ -72,7 +72,7 @@ TEST(PriorAlignment, SaysWhichOffsetsWouldBeTold) {
   }
 }
 
-/// Rings about a pixel, as on a turned bowl.
+/// Rings about the pixel (middle_u, 110), as on a bowl turned on a lathe.
 EvidenceScene::Pattern rings(double width_px, double middle_u) {
   return [=](double u, double v) {
     return std::numbers::sqrt2 * std::sin(2 * std::numbers::pi / width_px * std::hypot(u - middle_u, v - 110));
@@ -88,7 +88,7 @@ EvidenceScene noisy_rings(double middle_u) {
   return scene;
 }
 
-TEST(PriorAlignment, ATurnOfSomethingRoundIsNotTold) {
+TEST(PriorAlignment, SaysThatATurnOfARoundObjectIsNotDetectable) {
   const EvidenceScene scene = noisy_rings(150);
   const PriorAlignment found = check(scene, scene.cloud);
   EXPECT_EQ(found.told_turn_deg, 0);
@@ -96,8 +96,8 @@ TEST(PriorAlignment, ATurnOfSomethingRoundIsNotTold) {
   EXPECT_NE(found.finding.message.find("but not a turn"), std::string::npos) << found.finding.message;
 }
 
-TEST(PriorAlignment, SomethingRoundIsShiftedAndNotTurned) {
-  // Rings whose middle is far from that of what is seen of them: a turn about the latter shifts them.
+TEST(PriorAlignment, AShiftOfARoundObjectIsNotTakenForATurn) {
+  // The rings' center is far from the center of their visible part: rotating about the visible center shifts the rings.
   const EvidenceScene scene = noisy_rings(240);
   for (const double down_px : {5, -5}) {
     const PriorAlignment found = check(scene, scene.moved(motion(0, down_px)));
@@ -107,7 +107,7 @@ TEST(PriorAlignment, SomethingRoundIsShiftedAndNotTurned) {
   }
 }
 
-/// A ball's depths, its middle on the ray of this pixel, as waves of EvidenceScene.
+/// Depths of a ball whose center lies on the ray of this pixel, in the unit of EvidenceScene's bumps.
 EvidenceScene::Pattern ball(double middle_u, double middle_v) {
   return [=](double u, double v) {
     constexpr double radius = 40;
@@ -116,10 +116,10 @@ EvidenceScene::Pattern ball(double middle_u, double middle_v) {
   };
 }
 
-TEST(PriorAlignment, ABallHasNoEdgesOfItsOwn) {
+TEST(PriorAlignment, ASmoothBallGivesNoEvidenceFromEdges) {
   EvidenceScene scene(ball(150, 110), nullptr);
   for (float& rho : scene.state.rho) rho = 0;
-  // A mask that is drawn a little inside of the outline, with the stem left out.
+  // A mask drawn slightly inside the outline, without the place of a stem.
   for (int v = 0; v < scene.object.height(); ++v) {
     for (int u = 0; u < scene.object.width(); ++u) {
       if (scene.object(u, v) == 0) scene.depth(u, v) = std::numeric_limits<float>::quiet_NaN();
@@ -133,7 +133,7 @@ TEST(PriorAlignment, ABallHasNoEdgesOfItsOwn) {
   EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.message;
 }
 
-TEST(PriorAlignment, ABallHasNoOutlineWithinItsSurface) {
+TEST(PriorAlignment, AMaskBorderWithinASmoothSurfaceIsNoOutline) {
   const EvidenceScene scene(ball(150, 110), nullptr);
   const PriorAlignment found = check_alignment(scene.depth, scene.images(), {});
   EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
@@ -214,7 +214,7 @@ TEST(PriorAlignment, FindsInvertedMasks) {
   EXPECT_EQ(found.instead, "the mask is inverted") << found.finding.text();
 }
 
-/// The scene's object before a wall, both in the cloud, which has neither colors nor normals.
+/// The scene's object in front of a wall. The cloud contains both and has neither colors nor normals.
 EvidenceScene before_a_wall() {
   EvidenceScene scene(false);
   for (int v = 0; v < scene.object.height(); ++v)
@@ -225,7 +225,7 @@ EvidenceScene before_a_wall() {
   return scene;
 }
 
-TEST(PriorAlignment, TheOutlineTellsWhereNeitherColorsNorPhasesDo) {
+TEST(PriorAlignment, UsesTheOutlineWithoutEvidenceFromColorsAndPhases) {
   EvidenceScene scene = before_a_wall();
   for (float& rho : scene.state.rho) rho = 0;
   const PriorAlignment right = check(scene, scene.cloud);
@@ -234,7 +234,7 @@ TEST(PriorAlignment, TheOutlineTellsWhereNeitherColorsNorPhasesDo) {
   const PriorAlignment shifted = check(scene, scene.moved(motion(12, 0)));
   EXPECT_EQ(shifted.finding.severity, Severity::warning) << shifted.finding.text();
   EXPECT_NE(shifted.finding.message.find("too far right"), std::string::npos) << shifted.finding.message;
-  EXPECT_NEAR(shifted.right_px, -12, 4);  // to a pixel of the reduced view
+  EXPECT_NEAR(shifted.right_px, -12, 4);  // accurate to one pixel of the reduced view
   const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1.07)));
   EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
   EXPECT_NE(larger.finding.message.find("% too large"), std::string::npos) << larger.finding.message;
@@ -244,19 +244,19 @@ TEST(PriorAlignment, FindsInvertedMasksWhereTheCloudCoversTheBackgroundToo) {
   EvidenceScene scene = before_a_wall();
   const PriorAlignment right = check(scene, scene.cloud);
   EXPECT_NE(right.instead, "the mask is inverted") << right.finding.text();
-  EXPECT_NEAR(right.outline_step_gsd, 50, 15);  // 60 but for the smoothing of what a pixel of the reduced view sees
+  EXPECT_NEAR(right.outline_step_gsd, 50, 15);  // 60 before smoothing over a pixel of the reduced view
   for (std::uint8_t& pixel : scene.object) pixel = pixel != 0 ? 0 : 255;
   const PriorAlignment found = check(scene, scene.cloud);
   EXPECT_EQ(found.finding.severity, Severity::warning);
   EXPECT_EQ(found.instead, "the mask is inverted") << found.finding.text();
 }
 
-TEST(PriorAlignment, AnObjectThatOnlyStereoMissesIsNoMistake) {
+TEST(PriorAlignment, AnObjectMissingFromTheCloudGivesNoWarning) {
   const EvidenceScene scene;
   PointCloud around;
   for (int v = 0; v < scene.object.height(); ++v)
     for (int u = 0; u < scene.object.width(); ++u)
-      // Some way off the object, which in a reduced view its surroundings grow into.
+      // Keep a distance to the object, because the background grows into it in a reduced view.
       if (std::hypot((u - 150) / 110.0, (v - 110) / 80.0) > 1.12)
         around.points.push_back(scene.pose.world_from_cam(scene.depth(u, v) * scene.camera.ray(u, v)));
   const PriorAlignment found = check(scene, around);
@@ -266,7 +266,7 @@ TEST(PriorAlignment, AnObjectThatOnlyStereoMissesIsNoMistake) {
       << found.finding.text();
 }
 
-TEST(PriorAlignment, ImagesOfAnotherObjectHaveNothingInCommon) {
+TEST(PriorAlignment, WarnsOfImagesOfAnotherObject) {
   const EvidenceScene scene, other(true, 100);
   const PriorAlignment found = check(scene, other.cloud);
   EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
@@ -274,7 +274,7 @@ TEST(PriorAlignment, ImagesOfAnotherObjectHaveNothingInCommon) {
   EXPECT_LT(found.color.as_given, 0.03);
 }
 
-TEST(PriorAlignment, OtherColorsOnTheSameShapeAreAQuestion) {
+TEST(PriorAlignment, OtherColorsOnTheSameShapeAreACaution) {
   EvidenceScene scene(Waves(1, 25, 80), Waves(2, 6, 30));
   const EvidenceScene twin(Waves(1, 25, 80), Waves(300, 6, 30));
   const PriorAlignment found = check(scene, twin.cloud);
@@ -282,7 +282,8 @@ TEST(PriorAlignment, OtherColorsOnTheSameShapeAreAQuestion) {
   EXPECT_GT(found.phase.as_given, 0.5);
   EXPECT_EQ(found.finding.severity, Severity::caution) << found.finding.text();
   EXPECT_NE(found.finding.message.find("the cloud's colors have nothing in common"), std::string::npos);
-  // What mirrors its surroundings has their brightness.
+  // High degrees of polarization: a surface that mirrors its surroundings shows their brightness, not the cloud's
+  // colors.
   for (float& rho : scene.state.rho) rho = std::min(0.9F, 30 * rho);
   EXPECT_EQ(check(scene, twin.cloud).finding.severity, Severity::note);
 }

@@ -15,16 +15,16 @@ SyntheticStation station_of(Size size) {
   return make_station(options);
 }
 
-TEST(CoarseLevel, SeesTheSameSurfaceInALargerGsd) {
+TEST(CoarseLevel, ShowsTheSameSurfaceAtALargerGsd) {
   SyntheticStation station = station_of({61, 48});
   station.state.valid(20, 10) = static_cast<std::uint8_t>(PixelState::saturated);
   station.state.valid(30, 30) = static_cast<std::uint8_t>(PixelState::outside);
   const RefinementImage fine = make_image(station.state, station.prior, Context{});
   const RefinementImage coarse = coarsened(fine, Context{});
   ASSERT_EQ(coarse.size(), (Size{32, 25}));  // nodes
-  // The middle of four pixels lies on the ray of the coarse one, at the same depth and with the same slope.
+  // The center of four fine pixels lies on the ray of their coarse pixel, at the same depth and with the same slope.
   EXPECT_LT((coarse.camera.ray(7, 9) - fine.camera.ray(14.5, 18.5)).norm(), 1e-12);
-  // Every other node is one of the coarse image.
+  // Every other node of the fine image is a node of the coarse image.
   EXPECT_NEAR(coarse.depth_of(coarse.x(7, 9)), fine.depth_of(fine.x(14, 18)), 1e-9);
   EXPECT_NEAR(coarse.x(8, 9) - coarse.x(7, 9), (fine.x(16, 18) - fine.x(14, 18)) / 2, 1e-9);
   const auto variance = [&](int u, int v) { return fine.source->at(u, v).variance; };
@@ -34,14 +34,14 @@ TEST(CoarseLevel, SeesTheSameSurfaceInALargerGsd) {
   EXPECT_NE(coarse.object(15, 15), 0);
 }
 
-TEST(CoarseLevel, ItsChangeIsTakenOver) {
+TEST(CoarseLevel, ChangesAreTransferredToTheFineLevel) {
   SyntheticStation station = station_of({60, 48});
   for (int v = 0; v < 48; ++v) {
     for (int u = 0; u < 11; ++u) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
   }
   RefinementImage fine = make_image(station.state, station.prior, Context{});
   RefinementImage coarse = coarsened(fine, Context{});
-  // 0.2 GSD a pixel along u, −0.1 along v.
+  // The change has a slope of 0.2 GSD per pixel along u and −0.1 along v.
   const auto change = [](double u, double v) { return 3 + 0.2 * u - 0.1 * v; };
   for (int row = 0; row < coarse.size().height; ++row) {
     for (int column = 0; column < coarse.size().width; ++column) {
@@ -59,7 +59,7 @@ TEST(CoarseLevel, ItsChangeIsTakenOver) {
   EXPECT_TRUE(std::isnan(fine.x(5, 20)));
 }
 
-TEST(CoarseLevel, LeadsToTheSurfaceThatOneLevelFinds) {
+TEST(CoarseLevel, RefinementWithCoarseLevelsReducesTheError) {
   SyntheticOptions scene;
   scene.size = {96, 80};
   scene.kind = Reflection::specular;

@@ -16,7 +16,7 @@ namespace {
 constexpr double glaze = 0.06, clay = 0.42;
 constexpr Size bowl_size{160, 128};
 
-/// Windows to the upper right and to the left, and a weak rest.
+/// Bright windows to the upper right and to the left; weak light from everywhere else.
 Surroundings room(double roughness) {
   Surroundings room;
   room.roughness = roughness;
@@ -28,7 +28,7 @@ Surroundings room(double roughness) {
   return room;
 }
 
-/// A glazed body whose right third is bare clay, or is glazed, too.
+/// A glazed body. With two finishes, its right third is bare clay.
 SyntheticStation bowl(bool two_finishes, ReflectionModel& model) {
   SyntheticOptions scene;
   scene.size = bowl_size;
@@ -41,7 +41,7 @@ SyntheticStation bowl(bool two_finishes, ReflectionModel& model) {
   return make_station(scene);
 }
 
-/// Share of the pixels of a part of the columns that are set.
+/// Share of the pixels that are set in the columns first … end − 1.
 double share(const Mask& mask, int first, int end) {
   double sum = 0;
   for (int v = 0; v < bowl_size.height; ++v) {
@@ -50,7 +50,7 @@ double share(const Mask& mask, int first, int end) {
   return sum / (bowl_size.height * (end - first));
 }
 
-TEST(Finishes, AreToldByWhatExplainsThePolarization) {
+TEST(Finishes, PixelsGetTheFinishThatExplainsTheirPolarization) {
   ReflectionModel model;
   const SyntheticStation station = bowl(true, model);
   RefinementImage image = make_image(station.state, station.prior, Context{});
@@ -60,7 +60,7 @@ TEST(Finishes, AreToldByWhatExplainsThePolarization) {
   EXPECT_GT(share(other, 116, bowl_size.width), 0.8);
 }
 
-/// Of a refinement with one round: what the surface does afterwards is not asked here.
+/// Report of a refinement with one round of fitting the surroundings. Later changes of the surface are not tested.
 RefineReport report_of_bowl(bool two_finishes) {
   ReflectionModel model;
   const SyntheticStation station = bowl(two_finishes, model);
@@ -69,18 +69,18 @@ RefineReport report_of_bowl(bool two_finishes) {
   return refine(station.state, station.prior, {}, options, Context{}).report;
 }
 
-TEST(Finishes, OfGlazeAndClayAreFound) {
+TEST(Finishes, AGlazedAndABarePartAreTwoFinishes) {
   const RefineReport report = report_of_bowl(true);
-  ASSERT_TRUE(report.reflection.mirrored) << "the model must be the map";
+  ASSERT_TRUE(report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_LT(report.surroundings.roughness, 0.12);
   EXPECT_GT(report.surroundings.other_roughness, 0.25);
   EXPECT_GT(report.other_finish_share, 0.1);
   EXPECT_LT(report.other_finish_share, 0.4);
 }
 
-TEST(Finishes, OfAGlazedBodyAreOne) {
+TEST(Finishes, AFullyGlazedBodyHasOneFinish) {
   const RefineReport report = report_of_bowl(false);
-  ASSERT_TRUE(report.reflection.mirrored) << "the model must be the map";
+  ASSERT_TRUE(report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_EQ(report.surroundings.other_roughness, 0);
   EXPECT_EQ(report.other_finish_share, 0);
 }

@@ -24,8 +24,8 @@ SyntheticOptions matte_scene() {
   return scene;
 }
 
-/// Gains where the surface has moved by `movement` from the prior and the measurement is what is predicted there plus
-/// noise of a standard deviation. s0 is a metal's alone.
+/// Gains of a surface that is `overshoot` times `movement` away from the prior. The measurement is the prediction at
+/// `movement` plus noise of standard deviation `noise`. s0 is set only for a metal.
 GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, double noise, double overshoot = 1,
                             const ReflectionModel& model = matte_scene().model, double texture = 0) {
   const SyntheticStation station = make_station(matte_scene());
@@ -54,7 +54,7 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
   }
   move(overshoot);
   GainByScale gain(image.size(), model.metal_error > 0);
-  gain.add(field, {0, 50}, 0, Context{});  // in two parts that share a row of cells
+  gain.add(field, {0, 50}, 0, Context{});  // two parts that share a row of cells
   gain.add(field, {50, 161}, 0, Context{});
   return gain.gains(Context{});
 }
@@ -63,32 +63,32 @@ double at_center(const GainByScale::Gains::Scale& scale) {
   return between_cells(scale.gain, scale.cell_px, 96, 80);
 }
 
-/// Detail of a few pixels on waves of some fifty.
+/// Detail of a few pixels on waves of about fifty pixels.
 double relief(int u, int v) {
   return 0.05 * std::sin(1.5 * u) * std::cos(1.4 * v) + 2 * std::sin(0.11 * u) * std::cos(0.09 * v);
 }
 
-TEST(GainByScale, OfWhatIsExplainedAllIsGain) {
+TEST(GainByScale, WithoutNoiseTheWholeMovementIsGain) {
   const GainByScale::Gains gains = gains_of(relief, 0);
-  ASSERT_EQ(gains.scales.size(), 6U);  // pixels, means of 4 to 32 px, and of 64 px
+  ASSERT_EQ(gains.scales.size(), 6U);  // single pixels, means of 4, 8, 16 and 32 px, and means of 64 px
   for (const GainByScale::Gains::Scale& scale : gains.scales) EXPECT_GT(at_center(scale), 0.99);
   EXPECT_GT(at_center(gains.all), 0.99);
 }
 
-TEST(GainByScale, NoiseOfPixelsLeavesWaves) {
+TEST(GainByScale, PixelNoiseRemovesTheGainOfDetailButNotOfWaves) {
   const GainByScale::Gains gains = gains_of(relief, 0.02);
-  EXPECT_LT(at_center(gains.scales.front()), 0.2) << "detail below the noise";
-  EXPECT_GT(at_center(gains.scales[4]), 0.9) << "means of 32 px against those of 64";
+  EXPECT_LT(at_center(gains.scales.front()), 0.2) << "the detail is weaker than the noise";
+  EXPECT_GT(at_center(gains.scales[4]), 0.9) << "means of 32 px minus means of 64 px";
   EXPECT_LT(at_center(gains.all), at_center(gains.scales[4]));
 }
 
-TEST(GainByScale, WhatWasMovedTooFarGoesBack) {
+TEST(GainByScale, AnOvershootIsScaledBack) {
   const GainByScale::Gains gains = gains_of(relief, 0, 1.5);
   EXPECT_NEAR(at_center(gains.scales[4]), 1 / 1.5, 0.05);
-  EXPECT_LT(at_center(gains_of(relief, 0, -0.5).scales[4]), 0.01) << "the other way";
+  EXPECT_LT(at_center(gains_of(relief, 0, -0.5).scales[4]), 0.01) << "movement in the wrong direction";
 }
 
-TEST(GainByScale, TextureOfAMetalIsNoGainThoughItsPolarizationIsExplained) {
+TEST(GainByScale, TextureInAMetalsBrightnessIsNoGain) {
   Surroundings window;
   window.roughness = 0.3;
   window.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
@@ -104,7 +104,7 @@ TEST(GainByScale, TextureOfAMetalIsNoGainThoughItsPolarizationIsExplained) {
   EXPECT_GT(at_center(gains_of(relief, noise, 1, metal).scales.front()), 0.9) << "s0 without texture";
 }
 
-/// Gains of all scales are one, but for the finest.
+/// Gains of 1 at every scale except the finest.
 GainByScale::Gains but_for_the_finest(Size image, float finest) {
   GainByScale::Gains gains;
   for (const int cell_px : {4, 8, 16, 32, 64, 64}) {
@@ -116,7 +116,7 @@ GainByScale::Gains but_for_the_finest(Size image, float finest) {
   return gains;
 }
 
-TEST(GainByScale, ScalesOfAMovementAreAllOfIt) {
+TEST(GainByScale, ScalesAddUpToTheWholeMovement) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   const Image<double> prior = image.x;
@@ -134,10 +134,10 @@ TEST(GainByScale, ScalesOfAMovementAreAllOfIt) {
     }
   }
   EXPECT_LT(largest, 1e-4);
-  EXPECT_LT(of_waves, 0.05) << "without the detail, and next to nothing of the waves gone";
+  EXPECT_LT(of_waves, 0.05) << "the detail is removed and the waves are kept";
 }
 
-TEST(GainByScale, WhereThePriorLacksNothingNoiseIsNotTakenForDetail) {
+TEST(GainByScale, NoiseIsNotTakenForDetailWhereThePriorLacksNone) {
   SyntheticOptions scene = matte_scene();
   scene.bump_gsd = 0.1;
   scene.noise = 0.03;
@@ -151,7 +151,7 @@ TEST(GainByScale, WhereThePriorLacksNothingNoiseIsNotTakenForDetail) {
     return rms_error_gsd(depth, station.truth, station.prior.camera);
   };
   const double prior = error(station.prior.depth);
-  EXPECT_GT(error(free.surface.depth), 1.3 * prior) << "or there is nothing to hold back";
+  EXPECT_GT(error(free.surface.depth), 1.3 * prior) << "without evidence, noise must worsen the surface";
   EXPECT_LT(error(held.surface.depth) - prior, 0.5 * (error(free.surface.depth) - prior));
   EXPECT_LT(held.report.gain_share, 0.7);
   EXPECT_TRUE(std::isnan(free.report.gain_share));

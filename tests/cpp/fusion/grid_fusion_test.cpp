@@ -51,7 +51,7 @@ TEST(GridFusion, TakesLowFrequenciesFromThePriorAndDetailFromPolarization) {
   const Size size{320, 240};
   const double tau = 2 * std::numbers::pi;
   const auto low = [=](int u, int v) { return 6 * std::sin(tau * u / 320) + 0.05 * v; };
-  // Nodes 4 px apart see it with alternating signs, of which a Gaussian of one node leaves exp(−π² / 2).
+  // The detail alternates in sign between nodes 4 px apart; a Gaussian of one node reduces it to exp(−π² / 2).
   const auto detail = [=](int u, int v) { return 0.8 * std::cos(tau * (u - 2) / 8) * std::cos(tau * (v - 2) / 8); };
   const auto drift = [](int u, int v) { return 40 - 0.2 * u + 1e-3 * v * v; };
   const DepthPrior prior = prior_of(size, low);
@@ -69,8 +69,9 @@ TEST(GridFusion, TakesLowFrequenciesFromThePriorAndDetailFromPolarization) {
   EXPECT_LT(largest, 0.06);
 }
 
-TEST(GridFusion, LiteralFormIsTheOnePrinted) {
-  // 0–1 scaling, difference at the nodes (pixels 2 and 6), no smoothing, bilinear, added, scaled back.
+TEST(GridFusion, LiteralFormFollowsThePublishedSteps) {
+  // Scale both to 0–1, take differences at the nodes (pixels 2 and 6) without smoothing, interpolate them bilinearly,
+  // add them, and scale back.
   const Size size{9, 9};
   const auto prior_depth = [](int u, int v) { return 500 + 2.0 * u + 0.5 * v * v; };
   const auto polarization = [](int u, int v) { return 3.0 * ((u * 5 + v * 3) % 7) - 4; };
@@ -107,7 +108,7 @@ TEST(GridFusion, OrthographicHeightsMoveDepthByTheMeanGsd) {
   EXPECT_NEAR(fused.depth(22, 18), distance_mm - gsd_mm * checker(22, 18), 0.02 * gsd_mm);
 }
 
-TEST(GridFusion, GapsKeepThePriorOrNothing) {
+TEST(GridFusion, GapsInTheHeightKeepThePriorAndGapsInThePriorStayEmpty) {
   const Size size{64, 48};
   DepthPrior prior = prior_of(size, [](int u, int v) { return 0.1 * u - 0.2 * v; });
   HeightMap height = map_of(size, [](int u, int v) { return 0.1 * u - 0.2 * v + 7; });
@@ -142,7 +143,7 @@ TEST(GridFusion, SigmaAddsTheDisagreementInDetail) {
       size, [](int, int) { return 0; }, 0.5);
   const FusedSurface same = fuse_grid(map_of(size, [](int, int) { return 0; }), prior, {}, {});
   EXPECT_NEAR(same.sigma(40, 40) / gsd_mm, 0.5, 1e-3);
-  // At the nodes (2 + 4 i) the surface alternates between 2 and −2 GSD.
+  // At the nodes (pixels 2 + 4 i) the polarization height alternates between 2 and −2 GSD.
   const auto checker = [](int u, int v) { return (u / 4 + v / 4) % 2 == 0 ? 2.0 : -2.0; };
   const FusedSurface rough = fuse_grid(map_of(size, checker), prior, {}, {});
   EXPECT_NEAR(rough.sigma(40, 40) / gsd_mm, std::hypot(0.5, 2.0), 0.05);
@@ -159,7 +160,7 @@ TEST(GridFusion, IsTheSameWithMoreThreads) {
   EXPECT_EQ(a.sigma, b.sigma);
 }
 
-TEST(GridFusion, RejectsWhatDoesNotFit) {
+TEST(GridFusion, RejectsMismatchedInputsAndInvalidOptions) {
   const Size size{32, 32};
   const DepthPrior prior = prior_of(size, [](int, int) { return 0; });
   const HeightMap height = map_of(size, [](int, int) { return 0; });

@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-/// The bumpy station without noise, of one albedo under one light, so that every equation holds at the truth.
+/// The bumpy station without noise, with one albedo and one light, so that the true surface satisfies every equation.
 struct Scene {
   SyntheticStation station;
   ReflectionMap reflection;
@@ -62,7 +62,7 @@ OptimizeOptions of_equations_only() {
   return options;
 }
 
-TEST(GridOptimization, FindsTheSurfaceThatAllEquationsHoldAt) {
+TEST(GridOptimization, FindsTheSurfaceThatSatisfiesAllEquations) {
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     const Scene scene(kind);
     const double before = scene.error(scene.start());
@@ -70,21 +70,21 @@ TEST(GridOptimization, FindsTheSurfaceThatAllEquationsHoldAt) {
     EXPECT_EQ(after.status, FusionStatus::converged);
     EXPECT_TRUE(after.warnings.empty());
     EXPECT_EQ(after.confidence.level, ConfidenceLevel::partial);
-    ASSERT_EQ(after.confidence.reasons.size(), 1U) << "what is said of Eq 16 alone holds no longer";
+    ASSERT_EQ(after.confidence.reasons.size(), 1U) << "the reason for a surface from Eq 16 alone no longer applies";
     EXPECT_NE(after.confidence.reasons[0].find("All equations"), std::string::npos);
     EXPECT_GT(before, 0.5);
-    // The prior's slopes, which hold what the equations leave free, are most of what is left.
+    // Most of the remaining error comes from the prior's slopes, which fix what the equations leave undetermined.
     EXPECT_LT(scene.error(after), 0.2 * before);
     EXPECT_TRUE(std::isfinite(after.normals(10, 10, 0)));
   }
 }
 
-TEST(GridOptimization, PixelsWhoseEquationsContradictEachOtherStayOnTheSurface) {
+TEST(GridOptimization, PixelsWithContradictoryEquationsStayNearTheSurface) {
   Scene scene;
   for (int v = 30; v < 36; ++v)
     for (int u = 30; u < 36; ++u) {
       scene.reflection.zenith(u, v) = static_cast<float>(std::numbers::pi / 2);
-      scene.station.state.i_un(u, v) = -1;  // darker than anything that faces away from the light
+      scene.station.state.i_un(u, v) = -1;  // darker than any surface that faces away from the light
     }
   OptimizeOptions options;
   options.iterations = 60;
@@ -94,7 +94,7 @@ TEST(GridOptimization, PixelsWhoseEquationsContradictEachOtherStayOnTheSurface) 
   for (int v = 26; v < 40; ++v)
     for (int u = 26; u < 40; ++u)
       worst = std::max(worst, std::abs<double>(after.depth(u, v) - scene.station.truth(u, v)) / gsd);
-  EXPECT_LT(worst, 10);  // 7.2; without the prior's slopes 268
+  EXPECT_LT(worst, 10);  // 7.2 measured; 268 without the prior's slopes
 }
 
 TEST(GridOptimization, StrongPriorKeepsTheMeansOfItsCells) {
@@ -109,7 +109,7 @@ TEST(GridOptimization, StrongPriorKeepsTheMeansOfItsCells) {
   EXPECT_NEAR(sum / 16 / gsd, 0, 1e-3);
 }
 
-TEST(GridOptimization, SaysThatItEndedAtItsLimit) {
+TEST(GridOptimization, ReportsTheIterationLimit) {
   OptimizeOptions options = of_equations_only();
   options.iterations = 1;
   const FusedSurface after = Scene().optimized(options);

@@ -21,7 +21,7 @@ ReflectionModel usual_model() {
   return model;
 }
 
-/// A field in mid-refinement, with a hole and a ragged border, so that quads are cut.
+/// A field in the middle of a refinement, with holes and a ragged border, so that some quads are incomplete.
 RefinementField rough_field(Reflection kind, const ReflectionModel& model = usual_model()) {
   SyntheticOptions options;
   options.size = {29, 27};
@@ -114,14 +114,14 @@ std::vector<std::unique_ptr<QuadCost>> stokes_costs(const RefinementField& field
 
 class QuadCosts : public testing::TestWithParam<Reflection> {};
 
-TEST_P(QuadCosts, StokesDerivativesAreThoseOfTheResiduals) {
+TEST_P(QuadCosts, StokesDerivativesMatchNumericOnes) {
   const RefinementField field = rough_field(GetParam());
   const auto costs = stokes_costs(field);
   EXPECT_GT(costs.size(), 700u);
   EXPECT_LT(largest_difference(field, costs), 1e-6);
 }
 
-TEST(QuadCosts, StokesDerivativesOfAMetalAreThoseOfTheResiduals) {
+TEST(QuadCosts, StokesDerivativesOfAMetalMatchNumericOnes) {
   Surroundings surroundings;
   surroundings.roughness = 0.3;
   surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
@@ -139,7 +139,7 @@ TEST(QuadCosts, StokesDerivativesOfAMetalAreThoseOfTheResiduals) {
   EXPECT_LT(largest_difference(field, costs), 1e-5);
 }
 
-TEST_P(QuadCosts, AlbedoDerivativesAreThoseOfTheResiduals) {
+TEST_P(QuadCosts, AlbedoDerivativesMatchNumericOnes) {
   const RefinementField field = rough_field(GetParam());
   const auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
     for (int i = 0; i < 4; ++i) {
@@ -152,7 +152,7 @@ TEST_P(QuadCosts, AlbedoDerivativesAreThoseOfTheResiduals) {
 
 INSTANTIATE_TEST_SUITE_P(Kinds, QuadCosts, testing::Values(Reflection::diffuse, Reflection::specular));
 
-TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
+TEST(QuadCosts, SmoothnessAndPriorDerivativesMatchNumericOnes) {
   const RefinementField field = rough_field(Reflection::diffuse);
   auto costs = all_costs(field, [&](QuadIndex quad, auto& out) {
     out.push_back(std::make_unique<OutsideCost>(field, quad));
@@ -170,7 +170,7 @@ TEST(QuadCosts, SmoothnessAndPriorDerivativesAreThoseOfTheResiduals) {
   EXPECT_LT(largest_difference(field, costs), 1e-8);
 }
 
-TEST(CentralSlopes, AreExactForAParaboloidAndBlindToACheckerboardOnly) {
+TEST(CentralSlopes, AreExactForAParaboloidAndIgnoreACheckerboard) {
   RefinementField field = rough_field(Reflection::diffuse);
   field.object.fill(255);
   const auto height = [](double u, double v) { return 0.3 * u - 0.2 * v + 0.02 * u * u - 0.03 * u * v + 0.01 * v * v; };
@@ -194,7 +194,7 @@ TEST(StokesLoss, IsCauchyTimesTheRegionalWeight) {
   }
 }
 
-TEST(LogShading, DerivativesAreThoseOfTheValue) {
+TEST(LogShading, DerivativesMatchNumericOnes) {
   ShadingHarmonics harmonics;
   harmonics << 0.3, 0.1, -0.2, -0.6, 0.05, -0.1, 0.07, 0.04, -0.03;
   const Pinhole camera{{100, 100}, 300, 300, 50, 50};

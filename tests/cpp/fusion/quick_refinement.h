@@ -4,7 +4,7 @@
 
 namespace malus {
 
-/// Refinement without what takes longest: the search of the start and the lobe of the reflection.
+/// Options without the two slowest parts: the search for a better minimum and the fit of the reflection lobe.
 inline RefineOptions quick() {
   RefineOptions options;
   options.search = false;

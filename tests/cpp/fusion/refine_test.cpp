@@ -51,14 +51,14 @@ TEST(Refine, FindsTheBumpsOfASpecularSurface) {
             0.35 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
 }
 
-TEST(Refine, GoesOnWhileTheSurfaceMoves) {
+TEST(Refine, ContinuesWhileTheSurfaceChanges) {
   SyntheticOptions scene;
   scene.model.environment.radiance.fill(0.1);
   scene.bump_gsd = 3.5;
   SyntheticStation station = make_station(scene);
   for (float& sigma : station.prior.sigma) sigma *= 10;
   RefineOptions options = quick();
-  options.evidence = false;  // the prior is too far off for it
+  options.evidence = false;  // evidence would reject the surface: the prior is too far off
   const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
   options.more_iterations = 0;
   const RefineResult short_one = refine(station.state, station.prior, {}, options, Context{});
@@ -98,7 +98,7 @@ TEST(Refine, TilesLeaveNoSeam) {
   const RefineResult b = refine(station.state, station.prior, {}, tiled, Context{});
   EXPECT_EQ(a.report.tiles, 1);
   EXPECT_EQ(b.report.tiles, 2);
-  // Across the border between the tiles the difference to the whole solution does not jump.
+  // The difference from the solution in one tile must not jump at the border between the tiles.
   double jump = 0;
   for (int v = 0; v < scene.size.height; ++v) {
     for (int u = 60; u < 110; ++u) {
@@ -111,7 +111,7 @@ TEST(Refine, TilesLeaveNoSeam) {
   EXPECT_LT(jump, 0.01);
 }
 
-TEST(Refine, InStripsIsTheSameAsInOnePiece) {
+TEST(Refine, ResultInStripsEqualsResultInOnePiece) {
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     SyntheticOptions scene;
     scene.size = {80, 200};
@@ -155,7 +155,7 @@ TEST(Refine, SigmaIsPositiveAndCoversTheError) {
   EXPECT_GT(covered / count, 0.9);
 }
 
-TEST(Refine, LeavesPixelsOutsideAlone) {
+TEST(Refine, PixelsOutsideTheObjectStayEmpty) {
   SyntheticStation station = make_station({});
   for (int v = 20; v < 40; ++v) {
     for (int u = 33; u < 36; ++u) station.state.valid(u, v) = 0;
@@ -172,17 +172,17 @@ TEST(Refine, LeavesPixelsOutsideAlone) {
 TEST(Refine, WarnsOfMetal) {
   SyntheticOptions scene;
   scene.kind = Reflection::specular;
-  scene.model.mirror = {0.9, 4};  // direction of a mirror image, degree far below a dielectric's
+  scene.model.mirror = {0.9, 4};  // phase of specular reflection, degree far below a dielectric's
   const SyntheticStation station = make_station(scene);
   const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
   EXPECT_NE(result.surface.confidence.level, ConfidenceLevel::high);
   EXPECT_TRUE(std::ranges::any_of(result.surface.confidence.reasons, [](const std::string& reason) {
     return reason.find("bare metal") != std::string::npos;
   }));
-  EXPECT_EQ(result.report.trusted_share, 0) << "the prior stays";
+  EXPECT_EQ(result.report.trusted_share, 0) << "the surface stays the prior's";
 }
 
-/// A body of an index that is not the usual one, with a prior whose slopes tell it.
+/// A body with this refractive index and a prior whose slopes are accurate enough to estimate the index.
 SyntheticStation body_of_index(double eta) {
   SyntheticOptions scene;
   scene.bump_gsd = 0.2;
@@ -208,7 +208,7 @@ TEST(Refine, EstimatesTheRefractiveIndex) {
   }
 }
 
-TEST(Refine, TakesNoIndexAtTheEndOfTheRange) {
+TEST(Refine, RejectsAnIndexAtTheEndOfTheRange) {
   const SyntheticStation station = body_of_index(2.6);
   RefineInput input;
   input.refractive_index.reset();
@@ -232,15 +232,15 @@ TEST(Refine, ReplacesAStatedIndexThatIsContradicted) {
   EXPECT_FALSE(as_stated.report.stated_eta);
 }
 
-TEST(Refine, KeepsAStatedIndexThatIsNot) {
+TEST(Refine, KeepsAStatedIndexThatIsNotContradicted) {
   const SyntheticStation station = body_of_index(1.5);
   const RefineReport report = refine(station.state, station.prior, {}, quick(), Context{}).report;
-  EXPECT_EQ(report.reflection.eta, 1.5) << "to the bit";
+  EXPECT_EQ(report.reflection.eta, 1.5) << "exactly the stated index";
   EXPECT_FALSE(report.stated_eta);
   EXPECT_EQ(report.eta_sigma, 0);
 }
 
-TEST(Refine, TakesGivenLabels) {
+TEST(Refine, UsesGivenLabels) {
   const SyntheticStation station = make_station({});
   RefineInput input;
   input.reflection = ReflectionChoice::labels;
@@ -254,7 +254,7 @@ TEST(Refine, TakesGivenLabels) {
   EXPECT_THROW(refine(station.state, station.prior, input, options, Context{}), Error);
 }
 
-TEST(Refine, RejectsWhatDoesNotFit) {
+TEST(Refine, RejectsMismatchedInputsAndInvalidOptions) {
   const SyntheticStation station = make_station({});
   DepthPrior other = station.prior;
   other.depth = Image<float>({10, 10}, 1, 500);
@@ -267,17 +267,17 @@ TEST(Refine, RejectsWhatDoesNotFit) {
   EXPECT_THROW(refine(station.state, station.prior, {}, options, Context{}), Error);
 }
 
-TEST(Refine, IsNoFartherFromACloudThanItsErrorsAllow) {
+TEST(Refine, DoesNotTrustASurfaceFartherFromACloudThanItsErrors) {
   SyntheticStation station = make_station({});
   for (float& sigma : station.prior.sigma) sigma *= 0.02F;
   const RefineResult of_a_mesh = refine(station.state, station.prior, {}, quick(), Context{});
-  EXPECT_GT(of_a_mesh.report.trusted_share, 0.5) << "whose errors are only supposed";
+  EXPECT_GT(of_a_mesh.report.trusted_share, 0.5) << "the errors of a mesh are only assumed";
   station.prior.smoothing_px = 4;
   const RefineResult of_a_cloud = refine(station.state, station.prior, {}, quick(), Context{});
   EXPECT_LT(of_a_cloud.report.trusted_share, 0.5);
 }
 
-TEST(Refine, StopsWhenAsked) {
+TEST(Refine, StopsWhenCancelled) {
   const SyntheticStation station = make_station({});
   const std::atomic<bool> cancel = true;
   Context context;
@@ -285,7 +285,7 @@ TEST(Refine, StopsWhenAsked) {
   EXPECT_THROW(refine(station.state, station.prior, {}, {}, context), Error);
 }
 
-TEST(Tiles, AnImageOfOneTileIsHalvedIfThatIsWorthItsMargins) {
+TEST(Tiles, AnImageOfOneTileIsHalvedIfLargeComparedWithTheMargin) {
   const std::vector<Tile> wide = divide_into_tiles({360, 200}, 384, 32);
   ASSERT_EQ(wide.size(), 2u);
   EXPECT_EQ(wide[0].core.height(), 200);
@@ -296,7 +296,7 @@ TEST(Tiles, AnImageOfOneTileIsHalvedIfThatIsWorthItsMargins) {
   EXPECT_EQ(divide_into_tiles({200, 200}, 384, 32).size(), 1u);
 }
 
-TEST(Tiles, StripsAreWholeRowsOfThem) {
+TEST(Tiles, StripsConsistOfWholeRowsOfTiles) {
   const Size size{413, 251};
   const std::vector<Tile> tiles = divide_into_tiles(size, 64, 16);
   ASSERT_EQ(tiles.size(), 28u);

@@ -11,7 +11,7 @@ namespace {
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double explained_least = 0.35;
 
-/// Of a surface that nothing speaks against.
+/// Report of a surface without any reason for doubt.
 RefineReport good() {
   RefineReport report;
   report.tiles = 2;
@@ -33,7 +33,7 @@ bool mentions(const std::vector<std::string>& texts, const std::string& word) {
   return std::ranges::any_of(texts, [&](const std::string& text) { return text.find(word) != std::string::npos; });
 }
 
-TEST(Verdict, NothingSpeaksAgainstAGoodSurface) {
+TEST(Verdict, AGoodSurfaceHasHighConfidence) {
   const FusedSurface surface = judged(good());
   EXPECT_EQ(surface.status, FusionStatus::converged);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::high);
@@ -47,7 +47,7 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   report.metal = true;
   report.median_residual = 4.123456789;
   const FusedSurface surface = judged(report);
-  EXPECT_EQ(surface.status, FusionStatus::not_converged) << "which says nothing of the model";
+  EXPECT_EQ(surface.status, FusionStatus::not_converged) << "the status describes the solver, not the model";
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::low);
   ASSERT_EQ(surface.confidence.reasons.size(), 3u);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "metal"));
@@ -56,7 +56,7 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   EXPECT_EQ(surface.warnings.size(), 3u);
 }
 
-TEST(Verdict, WhatDidNotSettleIsThePriors) {
+TEST(Verdict, AnUnconvergedSurfaceThatKeptThePriorIsPartial) {
   RefineReport report = good();
   report.iterations[1].change_gsd = 1.23456789;
   report.trusted_share = 0;
@@ -68,7 +68,7 @@ TEST(Verdict, WhatDidNotSettleIsThePriors) {
   EXPECT_TRUE(mentions(surface.warnings, "still changing when the refinement ended, by 1.2 GSD"));
 }
 
-TEST(Verdict, AWrongModelDoesNoHarmWhereThePriorStayed) {
+TEST(Verdict, AWrongModelIsHarmlessIfThePriorWasKept) {
   RefineReport report = good();
   report.trusted_share = 0.01;
   report.metal = true;
@@ -77,18 +77,18 @@ TEST(Verdict, AWrongModelDoesNoHarmWhereThePriorStayed) {
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "The surface is the prior's"));
   EXPECT_TRUE(mentions(surface.confidence.reasons, "metal"));
-  EXPECT_FALSE(mentions(surface.confidence.reasons, "no better")) << "of a surface that is not the result";
+  EXPECT_FALSE(mentions(surface.confidence.reasons, "no better")) << "that surface is not the result";
   EXPECT_TRUE(mentions(surface.warnings, "no better"));
 }
 
-TEST(Verdict, WhatOnlyAPlaneExplainsIsNoEvidenceOfRelief) {
+TEST(Verdict, PolarizationThatAPlaneExplainsIsNoEvidenceOfRelief) {
   RefineReport report = good();
   report.explained_beyond_plane = 0.1;
   EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::partial);
   EXPECT_TRUE(mentions(judged(report).confidence.reasons, "plane"));
 }
 
-TEST(Verdict, FiguresThatAreMissingProveNothing) {
+TEST(Verdict, MissingFiguresLowerTheConfidence) {
   for (double RefineReport::*const figure :
        {&RefineReport::trusted_share, &RefineReport::explained_share, &RefineReport::explained_beyond_plane}) {
     RefineReport report = good();
@@ -103,7 +103,7 @@ TEST(Verdict, FiguresThatAreMissingProveNothing) {
   EXPECT_EQ(judged(report).status, FusionStatus::not_converged);
 }
 
-TEST(Verdict, AnIndexOtherThanTheStatedOneIsNotCertain) {
+TEST(Verdict, AnIndexThatDiffersFromTheStatedOneLowersTheConfidence) {
   RefineReport report = good();
   report.stated_eta = 1.5;
   report.eta_sigma = 0.06;
@@ -114,7 +114,7 @@ TEST(Verdict, AnIndexOtherThanTheStatedOneIsNotCertain) {
   EXPECT_TRUE(mentions(surface.warnings, "contradicts optics.refractive_index = 1.5"));
 }
 
-TEST(Verdict, AnIndexThatIsNeitherGivenNorEstimatedIsSaid) {
+TEST(Verdict, WarnsOfAnIndexThatIsNeitherGivenNorEstimated) {
   RefineReport report = good();
   report.eta_sigma = nan;
   report.reflection.eta = 1.5;

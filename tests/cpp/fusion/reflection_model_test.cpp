@@ -30,7 +30,7 @@ TEST(FresnelFactors, AgreeWithTheTextbookAtEveryZenith) {
   }
 }
 
-TEST(FresnelFactors, DerivativesAreThoseOfTheValues) {
+TEST(FresnelFactors, DerivativesMatchNumericOnes) {
   for (const double tan2 : {0.0, 1e-4, 0.1, 1.0, 4.0, 50.0}) {
     const double h = 1e-6 * std::max(tan2, 1.0);
     const double low = std::max(tan2 - h, 0.0);
@@ -94,7 +94,7 @@ ReflectionModel everything_on() {
   return model;
 }
 
-TEST(PixelReflection, DerivativesAreThoseOfTheValues) {
+TEST(PixelReflection, DerivativesMatchNumericOnes) {
   const ReflectionModel model = everything_on();
   std::mt19937 random(3);
   std::uniform_real_distribution<double> slope(-1.6, 1.6);
@@ -113,7 +113,7 @@ TEST(PixelReflection, DerivativesAreThoseOfTheValues) {
   }
 }
 
-/// The forward model written down once more from the textbook functions, for automatic differentiation.
+/// A second implementation of the forward model, from the textbook functions, for automatic differentiation.
 template <class T>
 std::array<T, 2> textbook_stokes(const ReflectionModel& model, Reflection kind, double s0, double mirror_body,
                                  const T& p, const T& q) {
@@ -176,7 +176,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   model.lobe = {0.05, 0.2, Eigen::Vector3d(0.5, -0.3, -0.8).normalized()};
   const RayFrame frame = ray_frame(&unequal_focal_camera, 200, 300);
   const LobeAtPixel lobe(model.lobe.light, frame, model.eta);
-  // Frontal view: no diffuse polarization, so that the highlight is alone.
+  // In frontal view there is no diffuse polarization: only the highlight is polarized.
   const PredictedStokes m = PixelReflection(model, Reflection::diffuse, 1, 0, frame).predict(0, 0);
   const double half_azimuth = std::atan2(lobe.hq, lobe.hp);
   EXPECT_GT(std::hypot(m.s1, m.s2), 0);
@@ -185,7 +185,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   EXPECT_NEAR((normal_of(frame, lobe.hp, lobe.hq) - half).norm(), 0, 1e-12);
 }
 
-TEST(LobeAtPixel, LightFromBehindGivesNone) {
+TEST(LobeAtPixel, LightFromBehindGivesNoReflection) {
   const RayFrame frame = ray_frame(&unequal_focal_camera, 310, 240);
   EXPECT_EQ(LobeAtPixel(-frame.view, frame, 1.5).reflectance, 0);
 }

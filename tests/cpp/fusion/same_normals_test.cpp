@@ -9,7 +9,7 @@
 namespace malus {
 namespace {
 
-/// An image whose surface lies so high [GSD] above a plane that faces the camera.
+/// An image whose surface lies at this height [GSD] above a plane that faces the camera.
 template <class Height>
 RefinementImage surface(const SyntheticStation& station, const Height& height) {
   RefinementImage image = make_image(station.state, station.prior, Context{});
@@ -20,20 +20,21 @@ RefinementImage surface(const SyntheticStation& station, const Height& height) {
   return image;
 }
 
-TEST(SameNormals, AreBesideEachOtherOnABowlAndAllOverARelief) {
+TEST(SameNormals, AreNearEachOtherOnABowlAndSpreadOverARelief) {
   SyntheticOptions scene;
   scene.size = {160, 128};
   const SyntheticStation station = make_station(scene);
   const auto bowl = [](double x, double y) { return 0.004 * (x * x + y * y); };
   const auto relief = [](double x, double y) { return 1.5 * std::sin(0.3 * x) * std::cos(0.3 * y); };
   const double on_bowl = distance_of_same_normals(surface(station, bowl));
-  // A cell is 0.1 of the normal's components wide: 12 px where it turns by 0.008 a px.
+  // A cell spans 0.1 of a component of the normal: 12 px where the normal changes by 0.008 per pixel.
   EXPECT_NEAR(on_bowl, std::hypot(12.5, 12.5) / 4 * deviation_per_median, 1.5);
-  // Even columns of 160 px and rows of 128: half of the places are within a quarter of either of the middle.
+  // Same normals spread evenly over 160 columns and 128 rows: half of them lie within a quarter of the size (40 and
+  // 32 px) of the center.
   EXPECT_NEAR(distance_of_same_normals(surface(station, relief)), std::hypot(40, 32) * deviation_per_median, 8);
 }
 
-TEST(SameNormals, OfOneStrayFacetDoNotCount) {
+TEST(SameNormals, DistanceIsRobustAgainstOneStrayFacet) {
   SyntheticOptions scene;
   scene.size = {160, 128};
   const SyntheticStation station = make_station(scene);
@@ -42,7 +43,7 @@ TEST(SameNormals, OfOneStrayFacetDoNotCount) {
   EXPECT_NEAR(distance_of_same_normals(surface(station, chipped)), distance_of_same_normals(surface(station, bowl)), 2);
 }
 
-TEST(SameNormals, OfPixelsThatShareNoneAreNeverNowhere) {
+TEST(SameNormals, DistanceIsAtLeastOnePixel) {
   SyntheticOptions scene;
   scene.size = {12, 10};
   const SyntheticStation station = make_station(scene);

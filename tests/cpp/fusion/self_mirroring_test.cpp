@@ -9,8 +9,8 @@
 namespace malus {
 namespace {
 
-/// Share of the pixels that mirror the object, of two walls that meet in the middle column: falling by `slope` towards
-/// it (a groove), or rising (a roof, < 0).
+/// Share of the pixels that mirror the object itself, for two walls that meet in the middle column. They fall towards
+/// it by `slope` (a groove) or, if `slope` is negative, rise (a roof).
 double share_of_walls(Size size, double slope) {
   SyntheticOptions options;
   options.size = size;
@@ -30,22 +30,22 @@ double share_of_walls(Size size, double slope) {
 constexpr double low = 0.7;  // tan 35°
 
 TEST(SelfMirroring, WallsOfAGrooveMirrorEachOther) {
-  // From a wall at 45 degrees the light turns by 90: level towards the other wall.
+  // A wall at 45 degrees deflects the viewing ray by 90 degrees: it runs level to the other wall.
   EXPECT_GT(share_of_walls({80, 60}, 1), 0.8);
 }
 
-TEST(SelfMirroring, OnlyTheFootOfALowGrooveDoes) {
-  // The light comes from 20 degrees above the level. From height h of a wall of slope s a ray meets the other wall at
-  // height y, tan 20 = (y − h) / (h / s + y / s): y = 3.2 h, which must not be above the wall's end.
+TEST(SelfMirroring, OnlyTheFootOfALowGrooveMirrorsTheOtherWall) {
+  // The reflected viewing ray rises 20 degrees above the horizontal. From height h on a wall of slope s, it meets the
+  // other wall at height y, tan 20 = (y − h) / (h / s + y / s). So y = 3.2 h, which must not exceed the wall's height.
   EXPECT_NEAR(share_of_walls({80, 60}, low), 1 / 3.2, 0.08);
 }
 
-TEST(SelfMirroring, ShallowGroovesAndRoofsDoNot) {
+TEST(SelfMirroring, ShallowGroovesAndRoofsDoNotMirrorThemselves) {
   EXPECT_LT(share_of_walls({80, 60}, 0.3), 0.02);
   EXPECT_EQ(share_of_walls({80, 60}, -1), 0);
 }
 
-TEST(SelfMirroring, LargeImagesAreTheSameInCoarsePixels) {
+TEST(SelfMirroring, LargeImagesGiveTheSameShareInCoarsePixels) {
   const double small = share_of_walls({80, 60}, low);
   EXPECT_NEAR(share_of_walls({640, 60}, low), small, 0.05);
 }

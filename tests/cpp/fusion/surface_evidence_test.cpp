@@ -19,7 +19,7 @@ SyntheticOptions scene_under_a_sky() {
   return scene;
 }
 
-/// Turns the direction of polarization of all columns from `first` on, as no light does.
+/// Turns the direction of polarization in all columns from `first` on, against the reflection model.
 void turn_phase(PolarizationState& state, int first, double angle_rad) {
   for (int v = 0; v < state.size().height; ++v) {
     for (int u = first; u < state.size().width; ++u) state.phi(u, v) += static_cast<float>(angle_rad);
@@ -51,7 +51,7 @@ TEST(Evidence, AModelThatHoldsIsTrustedEverywhere) {
   EXPECT_TRUE(result.surface.confidence.reasons.empty());
 }
 
-TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
+TEST(Evidence, ThePriorIsKeptWhereTheModelCannotExplainThePolarization) {
   SyntheticStation station = make_station(scene_under_a_sky());
   turn_phase(station.state, 0, misleading);
   RefineOptions options = quick();
@@ -59,15 +59,16 @@ TEST(Evidence, WhatTheModelCannotExplainLeavesThePrior) {
   options.evidence = false;
   const RefineResult free = refine(station.state, station.prior, diffuse, options, Context{});
   const double prior = rms_error_gsd(station.prior.depth, station.truth, station.prior.camera);
-  EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156), 0.3) << "it would have moved";
+  EXPECT_GT(rms_of_columns(free.surface.depth, station.prior.depth, 4, 156), 0.3)
+      << "without evidence, the surface leaves the prior";
   EXPECT_LT(rms_error_gsd(held.surface.depth, station.truth, station.prior.camera), 1.02 * prior);
-  EXPECT_NE(free.surface.confidence.level, ConfidenceLevel::high) << "nothing was held against the prior";
+  EXPECT_NE(free.surface.confidence.level, ConfidenceLevel::high) << "the evidence was not evaluated";
   EXPECT_TRUE(std::isnan(free.report.trusted_share) && std::isnan(free.report.explained_share));
-  EXPECT_TRUE(free.report.trust.empty()) << "a map would say what nobody knows";
+  EXPECT_TRUE(free.report.trust.empty()) << "without evidence there is no trust map";
   EXPECT_LT(held.report.trusted_share, 0.05);
   EXPECT_EQ(held.surface.confidence.level, ConfidenceLevel::partial);
   ASSERT_FALSE(held.surface.confidence.reasons.empty());
-  // The surface is as uncertain as the prior's.
+  // The result is as uncertain as the prior.
   EXPECT_NEAR(held.surface.sigma(80, 64) / station.prior.sigma(80, 64), 1, 0.05);
 }
 
@@ -84,7 +85,7 @@ TEST(Evidence, OnlyUsablePixelsAreTrusted) {
   SyntheticOptions scene = scene_under_a_sky();
   scene.size = {320, 128};
   SyntheticStation station = make_station(scene);
-  // The left part is misleading, of the right one nothing is usable but what lies farthest from it.
+  // The left half is misleading. Of the right half, only the columns farthest from it (from 280 on) are usable.
   turn_phase(station.state, 0, misleading);
   for (int v = 0; v < 128; ++v) {
     for (int u = 160; u < 320; ++u) {
@@ -95,16 +96,16 @@ TEST(Evidence, OnlyUsablePixelsAreTrusted) {
   const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
   EXPECT_LT(result.report.trust(80, 64), 60);
   EXPECT_GT(result.report.trust(300, 64), 200);
-  EXPECT_NEAR(result.report.trusted_share, 0.2, 0.1) << "40 of 200 usable columns, whatever lies between";
+  EXPECT_NEAR(result.report.trusted_share, 0.2, 0.1) << "40 of 200 usable columns; the columns between do not count";
 }
 
-TEST(Evidence, AFlatObjectSaysNothingOfItsRelief) {
+TEST(Evidence, AFlatObjectGivesNoEvidenceOfItsRelief) {
   SyntheticOptions scene = scene_under_a_sky();
   scene.bump_gsd = 0.02;
   scene.flat = true;
   const SyntheticStation station = make_station(scene);
   const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
-  EXPECT_GT(result.report.explained_share, 0.9) << "all of a plane's";
+  EXPECT_GT(result.report.explained_share, 0.9) << "a plane explains all the polarization";
   EXPECT_LT(result.report.explained_beyond_plane, 0.2);
   EXPECT_EQ(result.surface.confidence.level, ConfidenceLevel::partial);
 }
@@ -113,7 +114,7 @@ TEST(Evidence, IsWeighedRegionByRegion) {
   SyntheticOptions scene = scene_under_a_sky();
   scene.size = {400, 96};
   SyntheticStation station = make_station(scene);
-  constexpr int border = 300, far = 80;  // from the border: more than the pooling reaches
+  constexpr int border = 300, far = 80;  // `far` from the border: farther than the pooling reaches
   turn_phase(station.state, border, misleading);
   const RefineResult result = refine(station.state, station.prior, diffuse, quick(), Context{});
   EXPECT_EQ(result.report.trust(border - far, 64), 255);
@@ -145,26 +146,27 @@ void measure(RefinementField& field, Factor factor) {
   }
 }
 
-TEST(Evidence, SharesAreOneForWhatIsPredictedAndBelowZeroForTheOpposite) {
+TEST(Evidence, SharesAreOneForThePredictionAndNegativeForItsOpposite) {
   const SyntheticStation station = make_station(scene_under_a_sky());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   RefinementField field = diffuse_field(image);
   measure(field, [](int u, int) { return u < 80 ? 1.0F : -1.0F; });
   ExplainedPolarization explained(field.size(), {0, 0, -1});
-  explained.add(field, {0, 48}, 0, Context{});  // in two parts that share a row of cells
+  explained.add(field, {0, 48}, 0, Context{});  // two parts that share a row of cells
   explained.add(field, {48, 129}, 0, Context{});
   const Image<float> shares = explained.shares(false, Context{});
-  ASSERT_EQ(shares.width(), 11);  // the last node begins one more
+  ASSERT_EQ(shares.width(), 11);  // the last node begins one more cell
   ASSERT_EQ(shares.height(), 9);
   EXPECT_GT(shares(0, 4), 0.95);
-  EXPECT_LT(shares(9, 4), -0.55);  // of r = 2 s: 1 - 2 · 4 / 5 = -0.6
+  EXPECT_LT(shares(9, 4), -0.55);  // residual r = 2 s gives 1 - 2 · 4 / 5 = -0.6
 }
 
-TEST(Evidence, WhatIsLeftAtTheResultIsCountedByItsMiddlePixelInEachCell) {
+TEST(Evidence, ResidualsOfTheResultAreMediansOfEachCell) {
   const SyntheticStation station = make_station(scene_under_a_sky());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   RefinementField field = diffuse_field(image);
-  // The left part is explained but for one pixel in nine, of the right one a fifth of the measurement is left.
+  // In the left half all but one pixel in nine are explained; in the right half the residual is a fifth of the
+  // measurement.
   measure(field, [](int u, int v) {
     const float wild = u % 3 == 0 && v % 3 == 0 ? 5.0F : 1.0F;
     return u < 80 ? wild : 1.25F;
@@ -177,7 +179,7 @@ TEST(Evidence, WhatIsLeftAtTheResultIsCountedByItsMiddlePixelInEachCell) {
   EXPECT_NEAR(shares(8, 4), 0.8, 0.02);
 }
 
-TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
+TEST(Evidence, CellsAreInterpolatedBetweenTheirCenters) {
   Image<float> cells({3, 1});
   cells(0, 0) = 1;
   cells(1, 0) = 3;
@@ -185,7 +187,7 @@ TEST(Evidence, CellsAreInterpolatedBetweenTheirCentres) {
   EXPECT_DOUBLE_EQ(between_cells(cells, 4, 0, 0), 1);  // before the first center
   EXPECT_NEAR(between_cells(cells, 4, 3, 1), 1 + 2 * (3.5 / 4 - 0.5), 1e-9);
   EXPECT_NEAR(between_cells(cells, 4, 9, 2), 3 + 4 * (9.5 / 4 - 1.5), 1e-9);
-  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 11, 3), 7);  // behind the last one
+  EXPECT_DOUBLE_EQ(between_cells(cells, 4, 11, 3), 7);  // beyond the last center
 }
 
 TEST(Evidence, TheAnchorTakesLowFrequenciesFromThePriorAndLeavesDetail) {
@@ -193,7 +195,7 @@ TEST(Evidence, TheAnchorTakesLowFrequenciesFromThePriorAndLeavesDetail) {
   RefinementImage image = make_image(station.state, station.prior, Context{});
   const Image<double> prior = image.x;
   const Size size = image.size();
-  for (const double length : {3.0, 12.0}) {  // the first one below a block of the prior
+  for (const double length : {3.0, 12.0}) {  // the first is shorter than a block of the prior
     for (int v = 0; v < size.height; ++v) {
       for (int u = 0; u < size.width; ++u) image.x(u, v) = prior(u, v) + 2 + std::sin(1.2 * u);
     }
@@ -209,10 +211,10 @@ TEST(Evidence, TheAnchorTakesLowFrequenciesFromThePriorAndLeavesDetail) {
   }
 }
 
-TEST(Evidence, TheAnchorCountsThePriorByItsVariance) {
+TEST(Evidence, TheAnchorWeightsThePriorByItsInverseVariance) {
   SyntheticStation station = make_station(scene_under_a_sky());
   constexpr double length = 12;
-  constexpr int unknown = 80;  // from this column on
+  constexpr int unknown = 80;  // the prior is unknown from this column on
   for (int v = 0; v < station.prior.sigma.height(); ++v) {
     for (int u = unknown; u < station.prior.sigma.width(); ++u) station.prior.sigma(u, v) *= 20;
   }
@@ -223,7 +225,7 @@ TEST(Evidence, TheAnchorCountsThePriorByItsVariance) {
     for (int u = unknown; u < image.size().width; ++u) prior(u, v) += 20;
   }
   anchor_to_prior(image, prior, length, Context{});
-  EXPECT_LT(image.x(72, 64) - before(72, 64), 2);  // with equal weights 5
+  EXPECT_LT(image.x(72, 64) - before(72, 64), 2);  // 5 with equal weights
   EXPECT_NEAR(image.x(140, 64) - before(140, 64), 20, 0.5);
 }
 

@@ -16,22 +16,22 @@ constexpr Size sigma_size{160, 128};
 constexpr double prior_sigma_gsd = 0.5;  // of the synthetic station
 constexpr std::uint8_t nothing = 0, all = 255;
 
-/// Height in GSD against the distances from the image's center in px.
+/// Height in GSD as a function of the distances x and y from the image's center in px.
 using Shape = std::function<double(double, double)>;
 
-/// A sphere's cap of this curvature [1 / px], seen from above.
+/// A spherical cap of this curvature [1 / px], seen from above.
 Shape cap(double curvature) {
   return [=](double x, double y) { return 0.5 * curvature * (x * x + y * y); };
 }
 
-/// Waves along x whose curvature is as large as this at most.
+/// Waves along x with this largest curvature.
 constexpr double wave_px = 16;
 Shape waves(double curvature) {
   const double frequency = 2 * std::numbers::pi / wave_px;
   return [=](double x, double) { return curvature / (frequency * frequency) * std::sin(frequency * x); };
 }
 
-/// Sigma in GSD of a surface that has its prior's shape. Its polarization is what the reflection model predicts.
+/// Sigma in GSD of a surface that equals its prior and whose polarization is the reflection model's prediction.
 Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_t trust, int first_column = 0) {
   SyntheticOptions scene;
   scene.size = sigma_size;
@@ -63,27 +63,27 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
   return sigma;
 }
 
-TEST(SurfaceSigma, OfAPriorThatDoesNotSmoothIsItsOwn) {
+TEST(SurfaceSigma, EqualsThePriorsSigmaWithoutSmoothing) {
   EXPECT_NEAR(sigma_of(waves(0.01), {0}, nothing)(80, 64), prior_sigma_gsd, 0.01);
 }
 
-TEST(SurfaceSigma, KnowsWhatSmoothingCutsOff) {
+TEST(SurfaceSigma, IncludesTheReliefThatSmoothingCutsOff) {
   const double plane = sigma_of(cap(0), {5}, nothing)(80, 64);
   EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
-  // 0.65 L² times the RMS curvature.
+  // Smoothing over the length L cuts off 0.65 L² times the RMS curvature.
   const double cut = 0.65 * 25 * 0.02 / std::sqrt(2.0);
   EXPECT_NEAR(sigma_of(waves(0.02), {5}, nothing)(80, 64), std::hypot(plane, cut), 0.1 * cut);
   EXPECT_NEAR(sigma_of(waves(0.02), {10}, nothing)(80, 64), std::hypot(plane, 4 * cut), 0.4 * cut);
-  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut) << "nothing of a ball";
+  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut) << "smoothing cuts off nothing of a ball";
 }
 
-TEST(SurfaceSigma, OfPointsThatShareTheirWindowsIsNotAveraged) {
+TEST(SurfaceSigma, IsNotReducedForPointsThatShareTheirWindows) {
   const PriorErrors swept{.smoothing_px = 5, .shares_windows = true};
   EXPECT_NEAR(sigma_of(cap(0), swept, nothing)(80, 64), prior_sigma_gsd, 0.02);
 }
 
 TEST(SurfaceSigma, IsSmallerWhereTheSurfaceIsRefined) {
-  // Polarization tells slopes where there are some.
+  // Polarization determines slopes only where the surface is inclined.
   const Shape wavy_cap = [](double x, double y) { return cap(0.02)(x, y) + waves(0.04)(x, y); };
   EXPECT_LT(sigma_of(wavy_cap, {5}, all)(100, 64), 0.8 * sigma_of(wavy_cap, {5}, nothing)(100, 64));
 }

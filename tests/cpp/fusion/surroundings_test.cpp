@@ -30,7 +30,7 @@ Surroundings uniform(double radiance, double roughness) {
   return surroundings;
 }
 
-/// A window to the upper right and a weak rest.
+/// A bright window to the upper right; weak light from everywhere else.
 Surroundings window(double roughness) {
   Surroundings surroundings = uniform(0.2, roughness);
   for (const Surroundings::Cell& cell : Surroundings::all_cells()) {
@@ -39,8 +39,8 @@ Surroundings window(double roughness) {
   return surroundings;
 }
 
-TEST(Surroundings, OfOneRadianceMirrorItTimesFresnel) {
-  // A smooth mirror under a uniform sky: s0 = F, and the polarization is Fresnel's about the normal.
+TEST(Surroundings, OfUniformRadianceAreMirroredByFresnelsFactors) {
+  // For a smooth mirror under a uniform sky, s0 is Fresnel's reflectance and the polarization follows from the normal.
   const MirroredLightTable table(uniform(1, 0.08), 1.5, camera, Context{});
   const RayFrame frame = ray_frame(&camera, 250, 180);
   for (const double slope : {0.1, 0.4, 0.8}) {
@@ -52,7 +52,7 @@ TEST(Surroundings, OfOneRadianceMirrorItTimesFresnel) {
   }
 }
 
-TEST(Surroundings, TableHasTheDerivativesOfItsValues) {
+TEST(Surroundings, TableDerivativesMatchNumericOnes) {
   const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
   std::mt19937 random(3);
   std::uniform_real_distribution<double> slope(-1.2, 1.2), column(0, 599), row(0, 399);
@@ -67,7 +67,7 @@ TEST(Surroundings, TableHasTheDerivativesOfItsValues) {
   }
 }
 
-TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
+TEST(Surroundings, DerivativesOfAPixelsPredictionMatchNumericOnes) {
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, camera, Context{});
   const RayFrame frame = ray_frame(&camera, 400, 100);
@@ -82,7 +82,7 @@ TEST(Surroundings, PixelsPredictionHasTheDerivativesOfItsValues) {
   }
 }
 
-TEST(Surroundings, PredictionOfAMetalHasTheDerivativesOfItsValues) {
+TEST(Surroundings, DerivativesOfAMetalsPredictionMatchNumericOnes) {
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), std::complex(0.63, 3.19), camera, Context{});
   model.metal_error = 0.1;
@@ -98,7 +98,7 @@ TEST(Surroundings, PredictionOfAMetalHasTheDerivativesOfItsValues) {
   }
 }
 
-/// Pixels of many slopes under a window, of a body that varies; noise and some pixels that are wrong.
+/// Pixels with many slopes and varying body light under a window, with noise and outliers.
 std::vector<ReflectionSample> samples_under_window(const MirroredLightTable& table, double index) {
   std::mt19937 random(5);
   std::normal_distribution<double> slope(0, 0.4), noise(0, 0.001);
@@ -121,7 +121,7 @@ std::vector<ReflectionSample> samples_under_window(const MirroredLightTable& tab
   return samples;
 }
 
-TEST(Surroundings, AreFoundFromWhatTheyMirror) {
+TEST(Surroundings, AreEstimatedFromTheirMirrorImage) {
   const Surroundings truth = window(0.2);
   const MirroredLightTable table(truth, 1.5, camera, Context{});
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
@@ -140,13 +140,13 @@ TEST(Surroundings, AreFoundFromWhatTheyMirror) {
   EXPECT_GE(*std::min_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
 }
 
-TEST(Surroundings, OfNoSamplesAreDark) {
+TEST(Surroundings, AreDarkWithoutSamples) {
   const std::array<Finishes, 1> tried{{{0.1}}};
   const SurroundingsFit fit = fit_surroundings({}, {1.5}, tried, {}, Context{});
   EXPECT_EQ(*std::max_element(fit.surroundings.radiance.begin(), fit.surroundings.radiance.end()), 0);
 }
 
-TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
+TEST(Surroundings, AreSmoothDespiteWrongSlopes) {
   const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
   std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   std::mt19937 random(7);
@@ -168,7 +168,7 @@ TEST(Surroundings, AreSmoothThoughSlopesAreWrong) {
   EXPECT_LT(rough, 0.8 * sum);
 }
 
-TEST(Surroundings, AreFoundInFewerRoundsFromThoseBefore) {
+TEST(Surroundings, StartingFromAnEarlierMapReachesTheSameCost) {
   const MirroredLightTable table(window(0.2), 1.5, camera, Context{});
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const std::array known{Finishes{0.2}};
@@ -177,8 +177,8 @@ TEST(Surroundings, AreFoundInFewerRoundsFromThoseBefore) {
   EXPECT_NEAR(again.cost, first.cost, 0.01 * first.cost);
 }
 
-TEST(Surroundings, BodysShadingIsThatOfItsOwnLight) {
-  // Lit from one side only, which first-order harmonics cannot follow; in front of it, what the surface mirrors.
+TEST(Surroundings, BodyShadingIsFittedWithoutTheMirroredLight) {
+  // The body is lit from one side only, which first-order harmonics cannot model. The mirrored light is added to it.
   ReflectionModel model;
   model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, camera, Context{});
   const MirroredLightTable& table = *model.mirrored;
@@ -196,7 +196,7 @@ TEST(Surroundings, BodysShadingIsThatOfItsOwnLight) {
   EXPECT_LT(errors[1500], 0.1);
 }
 
-TEST(Surroundings, MetalsMirrorByFresnelsAmplitudes) {
+TEST(Surroundings, MetalsMirrorByFresnelsEquationsWithComplexIndex) {
   const std::complex<double> index(0.63, 3.19);
   for (const double tan2 : {1e-9, 0.1, 1.0, 7.0}) {
     const double c = std::sqrt(1 / (1 + tan2)), s2 = 1 - c * c;
@@ -209,7 +209,7 @@ TEST(Surroundings, MetalsMirrorByFresnelsAmplitudes) {
   }
 }
 
-/// Of a metal under a window, larger than the prior's bumps are known.
+/// A metal under a window, with bumps that the prior lacks.
 SyntheticStation metal_station(const Pinhole& view) {
   SyntheticOptions scene;
   scene.size = {96, 80};
@@ -233,7 +233,7 @@ double step_error(const Image<float>& depth, const Image<float>& truth) {
   return std::sqrt(squares / count);
 }
 
-TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
+TEST(Surroundings, AMetalIsFoundAndRefinedFromBrightnessAndPolarization) {
   SyntheticOptions scene;
   scene.size = {96, 80};
   const SyntheticStation station = metal_station(make_station(scene).prior.camera);
@@ -246,7 +246,7 @@ TEST(Surroundings, AMetalIsFoundAndRefinedByItsLightAndPolarization) {
   EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
 }
 
-TEST(Surroundings, AMetalFartherFromThePriorThanThePriorsErrorsStaysThePriors) {
+TEST(Surroundings, AMetalFartherFromThePriorThanItsErrorsKeepsThePrior) {
   SyntheticOptions scene;
   scene.size = {96, 80};
   SyntheticStation station = metal_station(make_station(scene).prior.camera);
@@ -256,7 +256,7 @@ TEST(Surroundings, AMetalFartherFromThePriorThanThePriorsErrorsStaysThePriors) {
   EXPECT_LT(result.report.trusted_share, 0.05);
 }
 
-TEST(Surroundings, TellTheRefractiveIndexOfTheBody) {
+TEST(Surroundings, DetermineTheRefractiveIndexOfTheBody) {
   for (const double index : {1.7, 1.9}) {
     const MirroredLightTable table(window(0.2), index, camera, Context{});
     EXPECT_NEAR(index_of_body(samples_under_window(table, index), 1.5, {0.2}, Context{}), index, 0.04);
@@ -266,22 +266,23 @@ TEST(Surroundings, TellTheRefractiveIndexOfTheBody) {
   for (ReflectionSample& s : of_both) s.other_finish = true;
   for (const ReflectionSample& s : samples_under_window(MirroredLightTable(window(0.08), 1.7, camera, Context{}), 1.7))
     of_both.push_back(s);
-  EXPECT_NEAR(index_of_body(of_both, 1.5, {0.08, 0.42}, Context{}), 1.7, 0.04) << "of two finishes";
+  EXPECT_NEAR(index_of_body(of_both, 1.5, {0.08, 0.42}, Context{}), 1.7, 0.04) << "samples of two finishes";
   const MirroredLightTable usual(window(0.2), 1.5, camera, Context{});
-  EXPECT_EQ(index_of_body(samples_under_window(usual, 1.5), 1.5, {0.2}, Context{}), 1.5) << "kept to the bit";
+  EXPECT_EQ(index_of_body(samples_under_window(usual, 1.5), 1.5, {0.2}, Context{}), 1.5)
+      << "the stated index is kept exactly";
 }
 
 TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
   SyntheticOptions scene;
   scene.size = {160, 128};
   scene.model.eta = 1.8;
-  scene.bump_gsd = 0.5;  // a prior whose slopes tell the index
+  scene.bump_gsd = 0.5;  // small bumps: the prior's slopes are accurate enough to estimate the index
   const Pinhole view = make_station(scene).prior.camera;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.8, view, Context{});
   const SyntheticStation station = make_station(scene);
   RefineOptions options;
   const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
-  ASSERT_TRUE(corrected.report.reflection.mirrored) << "the model must be the map";
+  ASSERT_TRUE(corrected.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_NEAR(corrected.report.reflection.eta, 1.8, 0.1);
   EXPECT_EQ(corrected.report.stated_eta, 1.5);
   EXPECT_TRUE(std::ranges::any_of(corrected.surface.warnings, [](const std::string& warning) {
@@ -294,7 +295,7 @@ TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
   EXPECT_LT(step_error(corrected.surface.depth, station.truth), step_error(as_stated.surface.depth, station.truth));
 }
 
-/// RMS of what a map mirrors of s1 and s2 beside what the true one does, over slopes.
+/// RMS difference of s1 and s2 between light mirrored from a map and from the true map, over slopes.
 double error_of_map(const Surroundings& found, const MirroredLightTable& truth, const Pinhole& view) {
   const MirroredLightTable table(found, 1.5, view, Context{});
   const RayFrame frame = ray_frame(&view, 80, 64);
@@ -308,7 +309,7 @@ double error_of_map(const Surroundings& found, const MirroredLightTable& truth, 
   return std::sqrt(squares / count);
 }
 
-TEST(Surroundings, DoNotFollowWhatTheSurfaceBends) {
+TEST(Surroundings, DoNotFollowASlowBendOfTheSurface) {
   SyntheticOptions scene;
   scene.size = {160, 128};
   scene.bump_gsd = 0;
@@ -321,7 +322,7 @@ TEST(Surroundings, DoNotFollowWhatTheSurfaceBends) {
   MapCourse held{{1.5}};
   held.slow_px = 8;
   held.x_prior = image.x;
-  // A bowl that has become deeper.
+  // Bend the surface: the bowl becomes deeper.
   for (int v = 0; v < image.size().height; ++v) {
     for (int u = 0; u < image.size().width; ++u) image.x(u, v) += 0.002 * (std::pow(u - 80, 2) + std::pow(v - 64, 2));
   }
@@ -329,12 +330,12 @@ TEST(Surroundings, DoNotFollowWhatTheSurfaceBends) {
   MapCourse free{{1.5}};
   RefineReport of_held, of_free;
   fit_mirrored(image, of_held, held, Context{});
-  EXPECT_TRUE(std::ranges::equal(image.x, bent)) << "the surface itself stays";
+  EXPECT_TRUE(std::ranges::equal(image.x, bent)) << "fitting the map leaves the surface unchanged";
   fit_mirrored(image, of_free, free, Context{});
   EXPECT_LT(error_of_map(of_held.surroundings, *truth, view), 0.5 * error_of_map(of_free.surroundings, *truth, view));
 }
 
-TEST(Surroundings, LeaveNoIndexToBeEstimated) {
+TEST(Surroundings, AnUnknownIndexIsNotEstimatedTogetherWithAMap) {
   SyntheticOptions scene;
   scene.size = {160, 128};
   const Pinhole view = make_station(scene).prior.camera;
@@ -345,10 +346,10 @@ TEST(Surroundings, LeaveNoIndexToBeEstimated) {
   RefineOptions options;
   options.surroundings_iterations = 1;
   const RefineResult result = refine(station.state, station.prior, input, options, Context{});
-  ASSERT_TRUE(result.report.reflection.mirrored) << "the model must be the map";
+  ASSERT_TRUE(result.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_EQ(result.report.reflection.eta, 1.5);
-  EXPECT_EQ(result.report.metal_index, 0.0) << "a body that varies is no metal";
-  EXPECT_TRUE(std::isnan(result.report.eta_sigma)) << "not that of the model which was rejected";
+  EXPECT_EQ(result.report.metal_index, 0.0) << "a body of varying brightness is no metal";
+  EXPECT_TRUE(std::isnan(result.report.eta_sigma)) << "must not come from the rejected model";
   EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
     return warning.find("refractive index is not known") != std::string::npos;
   }));

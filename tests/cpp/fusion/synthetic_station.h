@@ -13,7 +13,8 @@
 
 namespace malus {
 
-/// A bumpy surface seen by a camera, its Stokes vectors from the library's own forward model, and a blurred prior.
+/// A bumpy surface seen by a camera, its Stokes vectors from the library's own forward model, and a prior
+/// without the bumps.
 struct SyntheticStation {
   PolarizationState state;
   DepthPrior prior;
@@ -26,11 +27,11 @@ struct SyntheticOptions {
   ReflectionModel model;
   double noise = 2e-5;        ///< standard deviation of s1 and s2
   double bump_gsd = 1.5;      ///< height of the bumps that the prior does not have
-  bool flat = false;          ///< nothing but the bumps on a tilted plane
-  bool two_finishes = false;  ///< the right third has the model's other one
+  bool flat = false;          ///< a tilted plane with the bumps only
+  bool two_finishes = false;  ///< the right third has the model's other finish
 };
 
-/// Of every synthetic station.
+/// The same for every synthetic station.
 inline constexpr double station_focal_px = 900, station_distance_mm = 500;
 inline constexpr double station_gsd_mm = station_distance_mm / station_focal_px;
 
@@ -83,7 +84,7 @@ inline SyntheticStation make_station(const SyntheticOptions& options) {
   return station;
 }
 
-/// RMS depth error without its mean, in GSD, 4 px inside the image.
+/// RMS depth error about its mean, in GSD, without a border of 4 px.
 inline double rms_error_gsd(const Image<float>& depth, const Image<float>& truth, const Pinhole& camera) {
   double sum = 0, squares = 0, count = 0;
   for (int v = 4; v < truth.height() - 4; ++v) {

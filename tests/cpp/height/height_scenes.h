@@ -17,9 +17,9 @@ inline constexpr double eta = 1.5;
 inline constexpr double degree = std::numbers::pi / 180;
 inline constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// A surface of known normals, imaged through a polarizer at six angles with Gaussian noise.
+/// A surface with known normals, imaged through a polarizer at six angles with Gaussian noise.
 struct Scene {
-  Image<float> truth;    ///< height, as HeightMap::height up to a constant
+  Image<float> truth;    ///< HeightMap::height up to a constant
   Image<float> normals;  ///< camera frame
   PolarizationState state;
   ReflectionMap reflection;
@@ -81,12 +81,12 @@ inline Surface sphere(int size) {
   };
 }
 
-/// Round lid seen orthographically: a narrow rim that turns away to 70°, and inside of it a hollow, up to 30° steep.
+/// Round lid seen orthographically: a hollow with slopes up to 30° inside a narrow rim that falls off to 70°.
 inline Surface dish(int size) {
   return [size](int u, int v, double& height, Eigen::Vector3d& normal) {
     const double radius = 0.5 * size - 2, x = u - 0.5 * (size - 1), y = v - 0.5 * (size - 1), r = std::hypot(x, y);
     if (r > radius) return false;
-    // The slope outwards: rising to the crest, falling beyond.
+    // Slope in the outward direction: rising to the crest, falling beyond it.
     const double crest = 0.93 * radius, rise = std::tan(30 * degree), fall = std::tan(70 * degree);
     const double t = (r - crest) / (radius - crest);
     const double slope = r < crest ? rise * std::sin(std::numbers::pi * r / crest) : -fall * t;

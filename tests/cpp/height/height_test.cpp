@@ -13,7 +13,7 @@ namespace {
 
 using namespace height_scenes;
 
-/// Mean angle between the true normals and those of the height by central differences, in degrees.
+/// Mean angle between the true normals and the normals from the height's central differences, in degrees.
 double normal_error(const Scene& scene, const HeightMap& map) {
   double sum = 0;
   int count = 0;
@@ -30,7 +30,7 @@ double normal_error(const Scene& scene, const HeightMap& map) {
   return sum / count;
 }
 
-/// Factor between true and solved height about their means.
+/// Scale of the solved height relative to the true one, both about their means (least squares).
 double height_scale(const Scene& scene, const HeightMap& map) {
   double mean = 0, top = 0, bottom = 0;
   int count = 0;
@@ -65,11 +65,11 @@ TEST(Height, ExactWithoutNoise) {
     EXPECT_LT(normal_error(round, map), 0.05);
     EXPECT_NEAR(height_scale(round, map), 1, 1e-3);
     const Scene relief = render(bumps(128), {128, 128}, nullptr, light, 0);
-    EXPECT_LT(normal_error(relief, solve(relief)), 0.2);  // of it 0.15 are those of differences of the true height
+    EXPECT_LT(normal_error(relief, solve(relief)), 0.2);  // central differences of the true height already give 0.15
   }
 }
 
-TEST(Height, WithstandsNoise) {
+TEST(Height, IsAccurateWithNoise) {
   for (const auto& light : {light_right, light_above}) {
     for (const auto& surface : {sphere(128), bumps(128)}) {
       const Scene scene = render(surface, {128, 128}, nullptr, light, 0.005);
@@ -81,7 +81,7 @@ TEST(Height, WithstandsNoise) {
   }
 }
 
-TEST(Height, LinearMethodsAreThoseOfThePaper) {
+TEST(Height, LiteralMethodIsExactWithoutNoiseAndWorstWithNoise) {
   HeightOptions literal, linear;
   literal.method = HeightMethod::literal;
   linear.method = HeightMethod::linear;
@@ -94,7 +94,7 @@ TEST(Height, LinearMethodsAreThoseOfThePaper) {
   EXPECT_LT(normal_error(noisy, solve(noisy)), error_linear);
 }
 
-TEST(Height, SpecularReflection) {
+TEST(Height, SolvesSpecularReflection) {
   const Scene scene = render(sphere(96), {96, 96}, nullptr, light_right, 0.002, Reflection::specular);
   const HeightMap map = solve(scene);
   EXPECT_LT(normal_error(scene, map), 0.5);
@@ -151,7 +151,7 @@ TEST(Height, NeedsNoPriorForAConvexObject) {
   }
 }
 
-/// Angle between a light found and the true one [°].
+/// Angle between the estimated and the true light [°].
 double light_error(const LightEstimate& light, const Eigen::Vector4d& truth) {
   const Eigen::Vector3d found = light.coefficients.head<3>(), right = truth.head<3>();
   return std::acos(std::clamp(found.normalized().dot(right.normalized()), -1.0, 1.0)) / degree;
@@ -163,7 +163,7 @@ LightOptions assuming(LightWithoutPrior assumption) {
   return options;
 }
 
-TEST(Height, LightFromTheOutlineOfABall) {
+TEST(Height, EstimatesLightFromTheOutlineOfABall) {
   const Pinhole camera{{160, 120}, 700, 700, 79.5, 59.5};
   const Eigen::Vector4d oblique(0.3, 0.25, -0.6, 0);
   for (const double noise : {0.0, 0.003}) {
@@ -177,8 +177,8 @@ TEST(Height, LightFromTheOutlineOfABall) {
   }
 }
 
-TEST(Height, AnOutlineTellsALidWithAHollowFromABump) {
-  // Most of it slopes inwards: as a convex object it is lit from the other side.
+TEST(Height, TheOutlineDistinguishesAHollowLidFromABump) {
+  // Most of the lid slopes inwards: taken as convex, it appears lit from the other side.
   const Eigen::Vector4d oblique(0.3, 0.25, -0.6, 0);
   const Scene scene = render(dish(200), {200, 200}, nullptr, oblique, 0.002);
   const auto found = [&](LightWithoutPrior assumption) {
@@ -193,8 +193,8 @@ TEST(Height, AnOutlineTellsALidWithAHollowFromABump) {
   EXPECT_LT(normal_error(scene, map), 3);
 }
 
-TEST(Height, AnOutlineThatTheSurfaceDoesNotTurnAwayAtTellsNothing) {
-  // Bumps cut off by a straight edge, and an object that fills the image.
+TEST(Height, ABorderThatIsNoOccludingContourIsNotUsed) {
+  // Bumps cut off by a straight edge, and bumps that fill the image.
   for (const Size size : {Size{96, 96}, Size{88, 88}}) {
     const Surface whole = [](int u, int v, double& height, Eigen::Vector3d& normal) {
       return bumps(96)(u + 4, v + 4, height, normal);
@@ -206,8 +206,8 @@ TEST(Height, AnOutlineThatTheSurfaceDoesNotTurnAwayAtTellsNothing) {
   }
 }
 
-TEST(Height, OfAKnownDirectionOnlyTheStrengthIsFound) {
-  // Bumps are neither convex nor hollow: the direction is what tells the two apart.
+TEST(Height, WithAKnownDirectionOnlyTheStrengthIsEstimated) {
+  // Bumps are neither convex nor hollow: only the known direction resolves the ambiguity between the two.
   const Eigen::Vector4d oblique(0.35, -0.2, -0.6, 0);
   const Scene scene = render(bumps(128), {128, 128}, nullptr, oblique, 0.002);
   const LightEstimate light =
@@ -233,7 +233,7 @@ TEST(Height, BridgesPixelsWithoutPolarization) {
   EXPECT_LT(normal_error(scene, map), 0.2);
 }
 
-TEST(Height, PriorHoldsTheBorder) {
+TEST(Height, PriorFixesTheHeightAtTheBorder) {
   const Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
   HeightOptions options;
   options.boundary = HeightBoundary::prior;
@@ -247,14 +247,14 @@ TEST(Height, PriorHoldsTheBorder) {
   EXPECT_THROW(solve_height(input, options, {}, {}), Error);
 }
 
-TEST(Height, LightAlongTheViewIsAStatusAndNoHeight) {
+TEST(Height, LightAlongTheViewGivesAStatusAndNoHeight) {
   const Scene scene = render(sphere(64), {64, 64}, nullptr, {0, 0, -1, 0}, 0.005);
   const HeightMap map = solve(scene);
   EXPECT_EQ(map.status, HeightStatus::light_along_view);
   for (const float value : map.height) EXPECT_TRUE(std::isnan(value));
 }
 
-TEST(Height, OtherFailuresAreStatuses) {
+TEST(Height, OtherFailuresGiveAStatus) {
   Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
   Image<float> flat(scene.state.size(), 3);
   for (std::size_t i = 0; i < flat.count(); i += 3) flat[i + 2] = -1;
@@ -294,7 +294,7 @@ TEST(Height, SameResultWithOneAndThreeThreads) {
   }
 }
 
-/// RMS difference of two heights, px.
+/// RMS difference between two heights, px.
 double rms_difference(const HeightMap& a, const HeightMap& b) {
   double squares = 0, count = 0;
   for (std::size_t i = 0; i < a.height.count(); ++i) {
@@ -327,7 +327,7 @@ TEST(Height, LargeRastersAreSolvedByLevelsAndInTiles) {
   Context two;
   two.threads = 2;
   const HeightMap map = solve(scene, {}, &large_camera, two);
-  // From the coarse level to the tiles' borders the height is that of the surface.
+  // The coarse level and the tiles must both reproduce the height of the surface.
   EXPECT_NEAR(height_scale(scene, map), 1, 0.01);
   EXPECT_LT(normal_error(scene, map), 2.0);
   double across = 0, inside = 0;
@@ -335,7 +335,7 @@ TEST(Height, LargeRastersAreSolvedByLevelsAndInTiles) {
     const auto step = [&](int u) {
       return std::abs((map.height(u + 1, v) - map.height(u, v)) - (scene.truth(u + 1, v) - scene.truth(u, v)));
     };
-    // Of four tiles, 275 px wide, beside each other: seams and middles.
+    // Four tiles lie beside each other, each 275 px wide: compare steps at seams with steps in the middle of tiles.
     for (const int seam : {275, 550}) {
       for (int u = seam - 12; u < seam + 12; ++u) across += step(u);
     }
@@ -343,12 +343,12 @@ TEST(Height, LargeRastersAreSolvedByLevelsAndInTiles) {
       for (int u = middle - 12; u < middle + 12; ++u) inside += step(u);
     }
   }
-  EXPECT_LT(across, 1.1 * inside) << "no seam between tiles";
+  EXPECT_LT(across, 1.1 * inside) << "tiles must not show a seam";
   Context one;
   EXPECT_LT(rms_difference(map, solve(scene, {}, &large_camera, one)), 1e-3);
 }
 
-TEST(Height, LargeRastersByTheLinearMethodsToo) {
+TEST(Height, LargeRastersAreSolvedByTheLinearMethodToo) {
   const Scene scene = large_scene();
   HeightOptions options;
   options.method = HeightMethod::linear;
@@ -357,12 +357,12 @@ TEST(Height, LargeRastersByTheLinearMethodsToo) {
   const HeightMap map = solve(scene, options, &large_camera, two);
   EXPECT_EQ(map.status, HeightStatus::converged);
   EXPECT_EQ(map.solver_iterations, 0);
-  // As of a small raster: the method flattens what is noisy.
+  // The linear method flattens noisy parts, of a small raster as well.
   EXPECT_NEAR(height_scale(scene, map), 1, 0.05);
   EXPECT_LT(normal_error(scene, map), 3.0);
 }
 
-TEST(Height, FromDepth) {
+TEST(Height, ConvertsDepthToHeight) {
   const Pinhole camera{{3, 1}, 400, 400, 1, 0};
   Image<float> depth(camera.size);
   depth(0, 0) = 500;

@@ -53,7 +53,7 @@ TEST(AtomicFile, PartsMayBeWrittenInAnyOrder) {
   EXPECT_EQ(read_file(folder / "parts", "parts"), "head mid tail");
 }
 
-TEST(AtomicFile, ReservedRoomIsFilledByWhatIsWritten) {
+TEST(AtomicFile, ReservedSpaceIsFilledByWrites) {
   const TemporaryFolder folder;
   const auto path = folder / "result.txt";
   AtomicFile file(path);
@@ -65,7 +65,7 @@ TEST(AtomicFile, ReservedRoomIsFilledByWhatIsWritten) {
 }
 
 TEST(AtomicFile, RecordsAreWrittenByAllThreadsAndHashedPieceByPiece) {
-  // 3 MB, several parts of both: records that are no divisor of either behind a header.
+  // 3 MB are several pieces for both the writer and the hash. The sizes of header and record divide neither piece.
   constexpr std::size_t header = 301, record = 27, count = 110'000;
   const TemporaryFolder folder;
   const auto path = folder / "records";
@@ -105,7 +105,7 @@ TEST(AtomicFile, WrongPlaceIsAnInputErrorWithPathAndReason) {
 }
 
 TEST(AtomicFile, FolderWithoutPermissionIsAnInputError) {
-  if (::geteuid() == 0) GTEST_SKIP() << "permissions do not stop root";
+  if (::geteuid() == 0) GTEST_SKIP() << "permissions do not apply to root";
   const TemporaryFolder folder;
   create_folder(folder / "locked");
   std::filesystem::permissions(folder / "locked",
@@ -159,7 +159,7 @@ TEST(InputFile, ReadsLinesAcrossBufferBordersAndKeepsCount) {
   EXPECT_FALSE(file.read_line(line));
 }
 
-TEST(InputFile, SmallAndLargeReadsFollowEachOther) {
+TEST(InputFile, SmallAndLargeReadsCanAlternate) {
   TemporaryFolder folder;
   std::string bytes;
   for (int i = 0; i < 700'000; ++i) bytes += std::to_string(i) + '\n';

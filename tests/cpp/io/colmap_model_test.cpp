@@ -88,14 +88,14 @@ TEST(ColmapModel, TextAndBinaryAreRead) {
   }
 }
 
-TEST(ColmapModel, PixelCentresAreAtHalfInFilesAndAtZeroInMemory) {
+TEST(ColmapModel, PixelCentersAreAtHalfInFilesAndAtZeroInMemory) {
   const TemporaryFolder folder;
   folder.write("cameras.txt", "# c\n1 PINHOLE 100 80 500 510 50 40\n2 SIMPLE_RADIAL 100 80 500 50 40 0.1\n");
   folder.write("images.txt", "1 1 0 0 0 0 0 5 1 a.jpg\n50 40 -1 0.5 0.5 9\n2 2 0 0 0 0 0 5 2 b c.jpg\n\n");
   const ColmapModel model = read_colmap_model(folder.path());
   EXPECT_EQ(model.cameras.at(1).params, (std::vector<double>{500, 510, 49.5, 39.5}));
   EXPECT_EQ(model.cameras.at(2).params, (std::vector<double>{500, 49.5, 39.5, 0.1}));
-  // The point on the axis projects to the principal point, which is where the keypoint lies.
+  // The point on the optical axis projects to the principal point, where the keypoint lies.
   const Pinhole camera = model.cameras.at(1).pinhole();
   EXPECT_EQ(camera.project({0, 0, 5}), model.images.at(1).keypoints[0].pixel);
   EXPECT_EQ(model.images.at(1).keypoints[1].pixel, Eigen::Vector2d(0, 0));
@@ -114,7 +114,7 @@ TEST(ColmapModel, QuaternionIsScalarFirstAndCamFromWorld) {
   EXPECT_NEAR(back[3], half, 1e-15);
 }
 
-TEST(ColmapModel, OneCameraAndPoseAsText) {
+TEST(ColmapModel, ACameraAndAPoseAreReadBackFromText) {
   const TemporaryFolder folder;
   const Pinhole camera{{720, 480}, 1937.25, 1938.5, 361.25, 237.5};
   folder.write("cameras.txt", colmap_text(camera));

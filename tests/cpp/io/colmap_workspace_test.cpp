@@ -12,7 +12,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// As COLMAP writes it: zeros where there is nothing.
+/// Writes an array in COLMAP's format.
 void write_array(const fs::path& path, const Image<float>& image) {
   fs::create_directories(path.parent_path());
   std::ofstream file(path, std::ios::binary);
@@ -27,7 +27,7 @@ void write_array(const fs::path& path, const Image<float>& image) {
   }
 }
 
-/// Two cameras above the plane z = 0 of the world; maps at half the images' size; a hole in the first.
+/// Two cameras above the plane z = 0 of the world. Maps have half the images' size; the first has a hole (depth 0).
 class Workspace {
  public:
   Workspace() {
@@ -67,7 +67,7 @@ TEST(ColmapWorkspace, PixelsBecomePointsWithNormalsInTheWorld) {
     least = std::min(least, cloud.points[i].x());
     most = std::max(most, cloud.points[i].x());
   }
-  EXPECT_NEAR(least, -2 - 14.5 / 40 * 50, 1e-6);  // half a GSD pixel inside the image's border
+  EXPECT_NEAR(least, -2 - 14.5 / 40 * 50, 1e-6);  // half a pixel of the map inside the image's border
   EXPECT_NEAR(most, 14.5 / 40 * 50, 1e-6);
 }
 
@@ -78,7 +78,7 @@ TEST(ColmapWorkspace, ManyPixelsAreThinned) {
   EXPECT_NEAR(static_cast<double>(thinned), static_cast<double>(all) / 4, 3);
 }
 
-TEST(ColmapWorkspace, WhatIsMissingIsNamed) {
+TEST(ColmapWorkspace, MissingAndMismatchedMapsAreNamed) {
   const Workspace workspace;
   const TemporaryFolder empty;
   expect_error(

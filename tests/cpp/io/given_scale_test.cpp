@@ -6,7 +6,7 @@
 namespace malus {
 namespace {
 
-/// Two cameras side by side that look along z, and what they see of a point.
+/// Two cameras side by side that look along z, and the marks of a point in their images.
 struct Pair {
   ColmapModel model;
 

@@ -30,7 +30,7 @@ void expect_pixels(const Image<float>& read, const Image<T>& written) {
   for (std::size_t i = 0; i < read.count(); ++i) ASSERT_EQ(read[i], static_cast<float>(written[i])) << i;
 }
 
-TEST(ImageFile, PngOfEightAndSixteenBitsSurvives) {
+TEST(ImageFile, PngOfEightAndSixteenBitsRoundTrips) {
   const TemporaryFolder folder;
   for (const int channels : {1, 3}) {
     const auto bytes = pattern<std::uint8_t>({37, 21}, channels);
@@ -49,7 +49,7 @@ TEST(ImageFile, PngOfEightAndSixteenBitsSurvives) {
   }
 }
 
-// OpenCV is the independent writer and reader here; its order is B, G, R.
+// OpenCV is the independent writer and reader here; its channel order is B, G, R.
 TEST(ImageFile, AgreesWithOpenCv) {
   const TemporaryFolder folder;
   for (const std::string name : {"a.png", "a.tif", "a.jpg"}) {
@@ -59,7 +59,7 @@ TEST(ImageFile, AgreesWithOpenCv) {
       cv::Mat mat(24, 40, type);
       cv::randu(mat, 0, CV_MAT_DEPTH(type) == CV_16U ? 65535 : 255);
       const std::string path = (folder / name).string();
-      // Without this OpenCV stores three float channels as 16-bit LogLuv.
+      // Without this option OpenCV stores three float channels as 16-bit LogLuv.
       ASSERT_TRUE(cv::imwrite(path, mat, {cv::IMWRITE_TIFF_COMPRESSION, 1}));
       const cv::Mat expected = cv::imread(path, cv::IMREAD_UNCHANGED);
       const RawImage image = read_image(path);
@@ -96,8 +96,8 @@ struct TiffLayout {
   int planar, photometric, tile;
 };
 
-// Layouts that OpenCV does not write, written by libtiff: a pixel's value tells its place and channel.
-TEST(ImageFile, TiffLayouts) {
+// libtiff writes these layouts. Each pixel's value encodes its position and channel.
+TEST(ImageFile, ReadsTiffLayoutsThatOpenCvDoesNotWrite) {
   const TemporaryFolder folder;
   const int width = 50, height = 37;
   for (const TiffLayout& layout : {TiffLayout{"w", PLANARCONFIG_SEPARATE, PHOTOMETRIC_RGB, 0},
@@ -190,7 +190,7 @@ TEST(ImageFile, FloatTiffKeepsEveryBit) {
   }
 }
 
-TEST(ImageFile, ATiffTakesOneDescriptor) {
+TEST(ImageFile, WritingATiffNeedsOneFileDescriptor) {
   const TemporaryFolder folder;
   const Image<float> raster({3, 2}, 1, 1.5F);
   rlimit before{};
@@ -206,10 +206,10 @@ TEST(ImageFile, ATiffTakesOneDescriptor) {
   EXPECT_EQ(read_float_raster(folder / "depth.tif"), raster);
 }
 
-TEST(ImageFile, SixteenBitTiffSurvivesAndIsReadByOpenCv) {
+TEST(ImageFile, SixteenBitTiffRoundTripsAndIsReadByOpenCv) {
   const TemporaryFolder folder;
   for (const int channels : {1, 3}) {
-    // More than one strip.
+    // Large enough for more than one strip.
     const auto words = pattern<std::uint16_t>({701, 403}, channels);
     write_tiff16(folder / "16.tif", words);
     const RawImage read = read_image(folder / "16.tif");
@@ -239,7 +239,7 @@ TEST(ImageFile, IntensityIsTheMeanOfTheChannelsOverFullScale) {
   }
 }
 
-TEST(ImageFile, MaskAndLabels) {
+TEST(ImageFile, ReadsMaskAndLabels) {
   const TemporaryFolder folder;
   Image<std::uint8_t> labels({4, 2});
   labels(1, 0) = 1;
@@ -257,7 +257,7 @@ TEST(ImageFile, MaskAndLabels) {
       ErrorCode::input, [&] { read_float_raster(folder / "label.png"); }, "8-bit integer");
 }
 
-TEST(ImageFile, TellsMasksFromPhotographs) {
+TEST(ImageFile, DistinguishesMasksFromPhotographs) {
   const TemporaryFolder folder;
   const auto mask_of = [&](auto value_of) {
     Image<std::uint8_t> image({60, 40});
@@ -267,7 +267,7 @@ TEST(ImageFile, TellsMasksFromPhotographs) {
     return read_mask(folder / "mask.png");
   };
   EXPECT_EQ(mask_of([](int u, int) { return u > 20 ? 255 : 0; })(30, 10), 255);
-  // Soft along an edge of two pixels, and as JPEG leaves black and white.
+  // A mask with a soft edge two pixels wide, and with the noise that JPEG adds to black and white.
   EXPECT_EQ(mask_of([](int u, int v) { return u > 20 ? 240 + v % 15 : u > 18 ? 60 + 4 * v : v % 12; })(30, 10), 255);
   EXPECT_EQ(mask_of([](int, int) { return 1; })(0, 0), 255);
   expect_error(
@@ -331,7 +331,7 @@ TEST_P(EveryFormat, DamageNeverCrashes) {
 
 INSTANTIATE_TEST_SUITE_P(Formats, EveryFormat, testing::Values("a.png", "a.tif", "a.jpg"));
 
-TEST(ImageFile, ClaimsBeyondTheFileAreRefusedBeforeAllocating) {
+TEST(ImageFile, ASizeBeyondTheFilesBytesIsRefusedBeforeAllocating) {
   const TemporaryFolder folder;
   write_float_tiff(folder / "small.tif", Image<float>({64, 64}));
   std::string bytes = read_file(folder / "small.tif", "image");

@@ -30,7 +30,7 @@ TriangleMesh tetrahedron() {
   return mesh;
 }
 
-TEST(PointCloudFile, WrittenPlyComesBack) {
+TEST(PointCloudFile, WrittenPlyIsReadBackUnchanged) {
   const TemporaryFolder folder;
   const TriangleMesh mesh = tetrahedron();
   write_ply(folder / "mesh.ply", mesh);
@@ -71,7 +71,7 @@ TEST(PointCloudFile, CoordinatesAreDoubleWhereFloatWouldLoseDetail) {
   EXPECT_LT(largest, 1e-3 * 0.1) << "a thousandth of the spacing";
 }
 
-TEST(PointCloudFile, BinaryOfBothByteOrdersWithAnyLayout) {
+TEST(PointCloudFile, ReadsBinaryOfBothByteOrdersWithAnyLayout) {
   const TemporaryFolder folder;
   for (const bool big : {false, true}) {
     std::string bytes =
@@ -106,7 +106,7 @@ TEST(PointCloudFile, BinaryOfBothByteOrdersWithAnyLayout) {
   }
 }
 
-TEST(PointCloudFile, AsciiPlyWithPolygons) {
+TEST(PointCloudFile, ReadsAsciiPlyWithPolygons) {
   const TemporaryFolder folder;
   const std::string header =
       "ply\r\nformat ascii 1.0\r\nelement vertex 5\r\nproperty float y\r\nproperty float x\r\nproperty float z\r\n"
@@ -131,7 +131,7 @@ TEST(PointCloudFile, AsciiPlyWithPolygons) {
   rejects("0 0 zero 0 0 0\n" + vertices, "line 13", "zero");
 }
 
-TEST(PointCloudFile, XyzText) {
+TEST(PointCloudFile, ReadsXyzText) {
   const TemporaryFolder folder;
   const auto cloud = [&](const std::string& text) { return read_point_cloud(folder.write("a.xyz", text)); };
   EXPECT_EQ(cloud("1 2 3\n4 5 6\n").points[1], Eigen::Vector3d(4, 5, 6));
@@ -180,7 +180,7 @@ TEST(PointCloudFile, CoordinatesThatAreNotFiniteAreCounted) {
   EXPECT_EQ(read_point_cloud(folder / "normal.ply").normals[0], Eigen::Vector3f(0, 0, 0));
 }
 
-TEST(PointCloudFile, BadHeaders) {
+TEST(PointCloudFile, BadHeadersAreInputErrors) {
   const TemporaryFolder folder;
   const auto rejects = [&](const std::string& text, const auto&... parts) {
     expect_error(
@@ -257,7 +257,7 @@ TEST(PointCloudFile, TruncatedAndMutatedFilesAreInputErrors) {
   }
 }
 
-TEST(PointCloudFile, Cancels) {
+TEST(PointCloudFile, StopsWhenCancelled) {
   const TemporaryFolder folder;
   write_ply(folder / "mesh.ply", tetrahedron());
   const std::atomic<bool> cancel{true};
@@ -276,7 +276,7 @@ TEST(PointCloudFile, RenderedCloudLoads) {
   for (const Eigen::Vector3f& normal : cloud.normals) ASSERT_NEAR(normal.norm(), 1, 1e-3);
 }
 
-TEST(PointCloudFile, CloudOrMesh) {
+TEST(PointCloudFile, ReadsACloudOrAMesh) {
   const TemporaryFolder folder;
   const auto text = folder.write("a.xyz", "0 0 0\n1 0 0\n0 1 0\n");
   EXPECT_EQ(read_cloud_or_mesh(text).vertices.points.size(), 3u);

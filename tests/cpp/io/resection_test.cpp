@@ -11,7 +11,7 @@
 namespace malus {
 namespace {
 
-/// A camera with distortion, and points about an object that it sees, in a national grid.
+/// A camera with distortion, and points around an object in its view, in the coordinates of a national grid.
 struct Site {
   LensCamera lens{LensModel::opencv, {2400, 1600}, {5200, 5210, 1190, 806, -0.06, 0.03, 2e-4, -1e-4}};
   Pose pose;
@@ -21,7 +21,7 @@ struct Site {
     pose.rotation = Eigen::AngleAxisd(2.1, Eigen::Vector3d(1, -2, 0.5).normalized()).matrix();
     pose.translation = Eigen::Vector3d(10, -5, 900) - pose.rotation * object;
   }
-  /// Point at a place in the camera frame, about the object.
+  /// Point offset from the object's center by `place` along the axes of the camera.
   MarkedPoint point(const std::string& name, const Eigen::Vector3d& place) const {
     const Eigen::Vector3d xyz = object + pose.rotation.transpose() * place;
     return {name, xyz, lens.project(pose.cam_from_world(xyz))};
@@ -46,7 +46,7 @@ TEST(Resection, ExactMarksGiveTheExactPose) {
   EXPECT_FALSE(found.doubtful);
 }
 
-TEST(Resection, CoplanarPointsDo) {
+TEST(Resection, CoplanarPointsSuffice) {
   const Site site;
   const std::vector<MarkedPoint> plane{site.point("A", {-150, -90, 60}), site.point("B", {160, -80, -90}),
                                        site.point("C", {140, 95, -90}), site.point("D", {-150, 95, 60})};
@@ -67,7 +67,7 @@ TEST(Resection, ErrorsAreWithinTheirSigma) {
     squares += (found.pose.centre() - site.pose.centre()).squaredNorm() / trials;
     expected += found.center_sigma * found.center_sigma / trials;
   }
-  // The stated one is of the most uncertain of three directions: the whole error is 1 to √3 times as large.
+  // The stated sigma is that of the most uncertain direction: the error in three directions is 1 to √3 times as large.
   EXPECT_GT(std::sqrt(squares / expected), 0.9);
   EXPECT_LT(std::sqrt(squares / expected), 1.8);
 }
@@ -117,7 +117,7 @@ TEST(Resection, AWrongMarkIsNamedInNoise) {
   EXPECT_LE(wrong, 0.02 * trials);
 }
 
-TEST(Resection, OthersAreOnlySaidToFitIfTheyDo) {
+TEST(Resection, TheOtherPointsAreOnlyCalledConsistentIfTheyAre) {
   const Site site;
   std::vector<MarkedPoint> points = site.points();
   points.push_back(site.point("G", {-60, 60, 30}));
@@ -127,14 +127,14 @@ TEST(Resection, OthersAreOnlySaidToFitIfTheyDo) {
   expect_refused(points, site.lens, "the worst is point");
 }
 
-TEST(Resection, NumbersThatAreNone) {
+TEST(Resection, NaNMarksAreRefused) {
   const Site site;
   std::vector<MarkedPoint> points = site.points();
   points[3].pixel.x() = std::nan("");
   expect_refused(points, site.lens, "point D");
 }
 
-TEST(Resection, WhatCannotDetermineAPose) {
+TEST(Resection, PointsThatDoNotDetermineAPoseAreRefused) {
   const Site site;
   std::vector<MarkedPoint> three = site.points();
   three.resize(3);
@@ -142,7 +142,7 @@ TEST(Resection, WhatCannotDetermineAPose) {
   std::vector<MarkedPoint> line;
   for (int i = 0; i < 5; ++i) line.push_back(site.point(std::to_string(i), {20.0 * i, 10.0 * i, 0}));
   expect_refused(line, site.lens, "on one line");
-  // A small plane far away, nearly across the view: without perspective its tilt has two signs.
+  // A small, distant plane, nearly perpendicular to the view: without perspective, the sign of its tilt is ambiguous.
   const std::vector<MarkedPoint> small{site.point("A", {-9, -8, 2}), site.point("B", {9, -8, 2}),
                                        site.point("C", {9, 8, -2}), site.point("D", {-9, 8, -2})};
   expect_refused(small, site.lens, "two positions of the camera");

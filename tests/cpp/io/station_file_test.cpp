@@ -13,7 +13,7 @@
 namespace malus {
 namespace {
 
-/// A complete small station; tests replace one section of it.
+/// A complete small station file; tests replace single sections.
 struct Sections {
   std::string station = "[station]\nname = \"test\"\n";
   std::string polarized =
@@ -47,7 +47,7 @@ class StationFileTest : public testing::Test {
     expect_error(
         ErrorCode::input, [&] { read(sections); }, "station.toml", parts...);
   }
-  /// Rejects the station with `from` replaced by `to` somewhere in its text.
+  /// Expects an error for the station file with the first `from` in its text replaced by `to`.
   template <class... Parts>
   void rejects_change(const std::string& from, const std::string& to, const Parts&... parts) const {
     std::string text = Sections().text();
@@ -175,7 +175,7 @@ TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
   optics("reflection = \"shiny\"", "shiny", "\"diffuse\"");
 }
 
-TEST_F(StationFileTest, FilesThatAreNotThere) {
+TEST_F(StationFileTest, MissingFilesAreNamed) {
   rejects_change("pol/a_045.png", "pol/a_046.png", "[polarized].images", "a_046.png", "no such file");
   rejects_change("pol/a_045.png", "pol/a_000.png", "a_000.png", "listed twice");
   rejects_change("cloud.ply", "absent.ply", "[prior].cloud", "absent.ply", "no such file");
@@ -208,10 +208,10 @@ TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
   repeated.polarized =
       "[polarized]\nimages = [\"pol/a_000.png\", \"pol/b_000.png\", \"pol/a_045.png\", \"pol/a_090.png\"]\n"
       "angles_deg = [0, 0, 45, 90]\n";
-  EXPECT_EQ(read(repeated).polarized.angles_deg->size(), 4u) << "the same angle twice is two exposures";
+  EXPECT_EQ(read(repeated).polarized.angles_deg->size(), 4u) << "two images at the same angle are two exposures";
 }
 
-TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
+TEST_F(StationFileTest, ReadsFoldersGlobsAndAnglePatterns) {
   const auto angles = [&](const std::string& lines) {
     Sections sections;
     sections.polarized = "[polarized]\n" + lines + "\n";
@@ -238,7 +238,7 @@ TEST_F(StationFileTest, FoldersGlobsAndAnglePatterns) {
   rejects_lines("images = \"pol\"\nangle_pattern = 'b_(\\d+)'", "angle_pattern", "no angle in the name");
 }
 
-TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
+TEST(PolarizedFiles, NaturalOrderAndAngleByPattern) {
   EXPECT_TRUE(natural_less("pol_9.png", "pol_10.png"));
   EXPECT_FALSE(natural_less("pol_10.png", "pol_9.png"));
   EXPECT_TRUE(natural_less("a2b10", "a02b11"));
@@ -249,7 +249,7 @@ TEST(PolarizedFiles, NaturalOrderAndLastNumber) {
       ErrorCode::input, [] { angle_of_name("/x/none.png", "(\\d+)", "images"); }, "images", "none.png");
 }
 
-TEST(AnglesOfNames, OnlyWhereTheNamesSayThemBeyondDoubt) {
+TEST(AnglesOfNames, AreReadOnlyFromUnambiguousNames) {
   using Names = std::vector<std::filesystem::path>;
   const auto angles = [](const Names& names) { return angles_of_names(names, "images", "expected angles_deg"); };
   const std::vector<double> expected{0, 45, 90};
@@ -263,19 +263,20 @@ TEST(AnglesOfNames, OnlyWhereTheNamesSayThemBeyondDoubt) {
   }
   EXPECT_EQ(angles({"/x/angle22.5.png", "/x/angle0.png", "/x/angle67.5.png"}), (std::vector<double>{22.5, 0, 67.5}));
   EXPECT_EQ(angles({"/x/rot-0.png", "/x/rot-120.png", "/x/rot-240.png"}), (std::vector<double>{0, 120, 240}));
-  for (const Names& names : {Names{"/x/IMG_0123.JPG", "/x/IMG_0124.JPG", "/x/IMG_0125.JPG"},
-                             Names{"/x/pol/IMG_0120.JPG", "/x/pol/IMG_0125.JPG", "/x/pol/IMG_0130.JPG"},
-                             Names{"/x/pol_1.png", "/x/pol_2.png", "/x/pol_3.png"},        // counted, not turned
-                             Names{"/x/pol_0.png", "/x/pol_5.png", "/x/pol_10.png"},       // counted by fives
-                             Names{"/x/a_000.png", "/x/a_045.png", "/x/a_090.png"},        // no word
-                             Names{"/x/pol_000.png", "/x/pol_045.png", "/x/pol_180.png"},  // two angles modulo 180
-                             Names{"/x/pol_000.png", "/x/pol_045.png", "/x/other.png"}}) {
+  for (const Names& names :
+       {Names{"/x/IMG_0123.JPG", "/x/IMG_0124.JPG", "/x/IMG_0125.JPG"},
+        Names{"/x/pol/IMG_0120.JPG", "/x/pol/IMG_0125.JPG", "/x/pol/IMG_0130.JPG"},
+        Names{"/x/pol_1.png", "/x/pol_2.png", "/x/pol_3.png"},        // counts, not angles
+        Names{"/x/pol_0.png", "/x/pol_5.png", "/x/pol_10.png"},       // counts in steps of five
+        Names{"/x/a_000.png", "/x/a_045.png", "/x/a_090.png"},        // no word for an angle
+        Names{"/x/pol_000.png", "/x/pol_045.png", "/x/pol_180.png"},  // only two different angles modulo 180
+        Names{"/x/pol_000.png", "/x/pol_045.png", "/x/other.png"}}) {
     expect_error(
         ErrorCode::input, [&] { angles(names); }, "images", names[0].filename().string(), "expected angles_deg");
   }
 }
 
-TEST_F(StationFileTest, Exposures) {
+TEST_F(StationFileTest, ReadsExposures) {
   for (const std::string name : {"b_000", "b_045", "b_090"})
     write_png(folder_ / ("pol/" + name + ".png"), Image<std::uint8_t>({12, 8}));
   const auto with = [&](const std::string& lines) {
@@ -291,7 +292,7 @@ TEST_F(StationFileTest, Exposures) {
   rejects(with("angles_deg = \"auto\"\nexposure_s = [1, 1, 1, 1, 1, 1]"), "exposure_s", "needs known angles");
 }
 
-TEST_F(StationFileTest, RawFilesGoFirstAndBringTheirLevels) {
+TEST_F(StationFileTest, RawFilesTakePrecedenceAndBringTheirLevels) {
   for (const std::string name : {"a_000.NEF", "a_045.NEF", "a_090.NEF"}) folder_.write("pol/" + name, "x");
   Sections sections;
   sections.polarized = "[polarized]\nimages = \"pol\"\n";
@@ -309,7 +310,7 @@ TEST_F(StationFileTest, RawFilesGoFirstAndBringTheirLevels) {
   rejects(sections, "expected one kind");
 }
 
-TEST_F(StationFileTest, Mosaic) {
+TEST_F(StationFileTest, ReadsAMosaic) {
   Sections sections;
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135, 0]]\n";
   const StationFile station = read(sections);
@@ -326,7 +327,7 @@ TEST_F(StationFileTest, Mosaic) {
       ErrorCode::data, [&] { read(sections); }, "2 distinct");
 }
 
-TEST_F(StationFileTest, CameraFromColmapModel) {
+TEST_F(StationFileTest, ReadsACameraFromAColmapModel) {
   ColmapModel model;
   model.cameras[2] = {LensModel::opencv, {12, 8}, {100, 101, 5, 4, 0.1, 0, 0, 0}};
   model.images[1].name = "station.jpg";
@@ -350,7 +351,7 @@ TEST_F(StationFileTest, CameraFromColmapModel) {
   rejects(sections, "[camera].width", "together with colmap_model");
 }
 
-TEST_F(StationFileTest, PhotogrammetricCamera) {
+TEST_F(StationFileTest, ReadsAPhotogrammetricCamera) {
   // A camera 100 mm above the XY plane looking straight down, upper image edge towards +Y: ω = φ = κ = 0.
   const std::string lens =
       "[camera]\nmodel = \"BROWN\"\nwidth = 12\nheight = 8\nfocal_mm = 20\npixel_mm = 0.01\nx0_mm = 0.01\nk1 = 1e-5\n";
@@ -408,10 +409,10 @@ TEST_F(StationFileTest, CameraWithoutPose) {
   sections.prior = "[prior]\ncloud = \"cloud.ply\"\n";
   rejects(sections, "camera", "is missing");
   sections.prior.clear();
-  EXPECT_FALSE(read(sections).camera) << "enough for the polarization maps";
+  EXPECT_FALSE(read(sections).camera) << "no camera is needed for the polarization maps";
 }
 
-TEST_F(StationFileTest, PriorsWithASigmaAndShapes) {
+TEST_F(StationFileTest, ReadsSigmaAndShapesOfPriors) {
   Sections sections;
   EXPECT_FALSE(read(sections).prior_sigma);
   sections.prior += "sigma = 0.25\n";
@@ -453,7 +454,7 @@ TEST_F(StationFileTest, RejectsUnusableSigmasAndShapes) {
   rejects_prior("sigma = 1\ncylinder = { axis = [0, 1, 0], radius = 1 }", "[prior].cylinder.point", "is missing");
 }
 
-TEST_F(StationFileTest, PhotosAndScale) {
+TEST_F(StationFileTest, ReadsPhotosAndScale) {
   Sections sections;
   sections.camera.clear();
   sections.prior.clear();
@@ -491,7 +492,7 @@ TEST_F(StationFileTest, PhotosAndScale) {
   rejects(without, "scale", "marks need the cameras of their images");
 }
 
-/// Camera without pose; points about a camera 50 in front of the origin's plane, as `Sections` has it.
+/// Control points as marked by the camera of `Sections`, 50 in front of the plane z = 0.
 std::string control_text(const std::string& pixel_of_last) {
   return "[[control]]\nname = \"P1\"\nxyz = [-2, -1, 0]\npixel = [1.5, 1.98]\n"
          "[[control]]\nname = \"P2\"\nxyz = [2, -1, 0]\npixel = [9.5, 1.98]\n"
@@ -501,7 +502,7 @@ std::string control_text(const std::string& pixel_of_last) {
          pixel_of_last + "\n";
 }
 
-TEST_F(StationFileTest, CurvePixels) {
+TEST_F(StationFileTest, ReadsCurvePixels) {
   Sections sections;
   sections.polarized += "curve_pixels = [[0, 7], [11, 0]]\n";
   EXPECT_EQ(read(sections).polarized.curve_pixels, (std::vector<std::array<double, 2>>{{0, 7}, {11, 0}}));
@@ -523,14 +524,14 @@ TEST_F(StationFileTest, ControlPointsGiveThePose) {
   EXPECT_EQ(station.control.size(), 5U);
   EXPECT_EQ(station.control[4].name, "P5");
 
-  sections.camera = Sections().camera;  // with a pose they only check it
+  sections.camera = Sections().camera;  // with a given pose, the points only check it
   EXPECT_FALSE(read(sections).resection);
 
-  // A lens of another size is said before its points are called wrong.
+  // A lens for another image size must be reported before wrong points.
   sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 6\nheight = 4\nparams = [50, 50.5, 3.0, 2.25]\n";
   sections.rest = control_text("[5.5, 4.0]");
   rejects(sections, "[camera]", "is for 6 x 4 pixels", "has 12 x 8");
-  // The camera stood upright, and the files say so in EXIF.
+  // Same for images taken in portrait orientation, which the files state in EXIF.
   sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 8\nheight = 12\nparams = [50, 50.5, 3.0, 2.25]\n";
   rejects(sections, "[camera]", "is for 8 x 12 pixels", "EXIF orientation is ignored");
   sections.camera = Sections().camera;
@@ -570,7 +571,7 @@ TEST_F(StationFileTest, ControlPointsMarkedInPhotos) {
   rejects(sections, "[[control]] 1", "9.jpg");
 }
 
-TEST_F(StationFileTest, PatchesAndProfilesLieInTheImage) {
+TEST_F(StationFileTest, PatchesAndProfilesMustLieInTheImage) {
   const auto rejects_rest = [&](const std::string& rest, const auto&... parts) {
     Sections sections;
     sections.rest = rest;

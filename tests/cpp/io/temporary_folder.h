@@ -12,7 +12,7 @@
 
 namespace malus {
 
-/// A folder of one test's own, removed at its end.
+/// A temporary folder for one test, removed when the test ends.
 class TemporaryFolder {
  public:
   TemporaryFolder() {

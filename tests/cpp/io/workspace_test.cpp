@@ -70,7 +70,7 @@ TEST(Workspace, RemembersFinishedStepsAcrossRuns) {
   const nlohmann::json manifest = manifest_of(path);
   EXPECT_EQ(manifest["station"]["name"], "relief");
   EXPECT_EQ(manifest["inputs"]["cloud.ply"], "abc");
-  EXPECT_EQ(manifest["options"]["prior"]["x"], 2) << "that of the step, not of the last run";
+  EXPECT_EQ(manifest["options"]["prior"]["x"], 2) << "the option of the step, not of the last run";
   EXPECT_EQ(manifest["options"]["refine"], 3);
   EXPECT_EQ(manifest["steps"]["prior"]["outputs"]["prior/depth.tif"]["size"], 4);
   EXPECT_EQ(manifest["steps"]["prior"]["outputs"]["prior/depth.tif"]["sha256"], sha256_of_bytes("1234"));
@@ -79,7 +79,7 @@ TEST(Workspace, RemembersFinishedStepsAcrossRuns) {
   EXPECT_EQ(Workspace::read_manifest(path)["steps"].size(), 1u);
 }
 
-TEST(Workspace, SeesWhatWasChanged) {
+TEST(Workspace, DetectsChangedFilesAndRecords) {
   const TemporaryFolder folder;
   const auto changed = [&] { return Workspace(folder.path(), owner, false).changed_since("step", {}); };
   {
@@ -90,7 +90,7 @@ TEST(Workspace, SeesWhatWasChanged) {
   }
   EXPECT_TRUE(changed().empty());
   folder.write("a.tif", "1294");
-  EXPECT_EQ(changed(), std::vector<std::string>{"a.tif"}) << "a flipped byte";
+  EXPECT_EQ(changed(), std::vector<std::string>{"a.tif"}) << "one byte differs";
   folder.write("a.tif", "12345");
   EXPECT_EQ(changed(), std::vector<std::string>{"a.tif"});
   std::filesystem::remove(folder / "a.tif");
@@ -114,7 +114,7 @@ TEST(Workspace, SeesWhatWasChanged) {
       ErrorCode::input, [&] { workspace.examine({"c.tif"}, {}); }, "output", "c.tif");
 }
 
-TEST(Workspace, ForgetRemovesMarksAndFiles) {
+TEST(Workspace, ForgetRemovesRecordsAndFiles) {
   const TemporaryFolder folder;
   {
     Workspace workspace(folder.path(), owner, false);
@@ -132,7 +132,7 @@ TEST(Workspace, ForgetRemovesMarksAndFiles) {
     workspace.forget("one", {"deep/old.tif", "deep/none.tif"});
   }
   const Workspace workspace(folder.path(), owner, false);
-  EXPECT_EQ(workspace.record("one"), nullptr) << "as after a run that died in the step";
+  EXPECT_EQ(workspace.record("one"), nullptr) << "as after a run that failed in this step";
   EXPECT_NE(workspace.record("two"), nullptr);
   EXPECT_EQ(workspace.record("after one"), nullptr);
   EXPECT_EQ(workspace.record("last"), nullptr);
@@ -193,7 +193,7 @@ TEST(Workspace, BelongsToOneStation) {
       "belongs to station \"a\";");
 }
 
-TEST(Workspace, TakesNoFolderThatHasOtherFiles) {
+TEST(Workspace, RefusesAFolderWithOtherFiles) {
   const TemporaryFolder folder;
   folder.write("thesis.doc", "1");
   for (const bool replace : {false, true}) {
@@ -260,7 +260,7 @@ TEST(Workspace, DamagedManifestSaysWhatToDo) {
   }
 }
 
-TEST(Workspace, UnusableFolders) {
+TEST(Workspace, UnusableFoldersAreRefused) {
   const TemporaryFolder folder;
   folder.write("file", "x");
   expect_error(

@@ -8,7 +8,7 @@
 namespace malus {
 namespace {
 
-/// Normals of a bumpy surface and its shading.
+/// A bumpy surface: normals and shaded intensities.
 struct Scene {
   Image<float> normals{{80, 60}, 3};
   Image<float> intensity{{80, 60}};
@@ -58,7 +58,7 @@ TEST(Light, AlbedoSpotsAndShadowsAreOutliers) {
   EXPECT_NEAR(direction.norm(), truth.norm(), 0.02 * truth.norm());
 }
 
-TEST(Light, DegenerateCasesAreAStatus) {
+TEST(Light, DegenerateCasesGiveAStatus) {
   Scene flat = shade({0.2, 0.1, -0.7, 0}, 0.001, one);
   EXPECT_EQ(estimate_light(flat.intensity, flat.normals, flat.mask, nullptr, {}, {}).status,
             LightStatus::normals_alike);

@@ -12,8 +12,8 @@ namespace {
 
 constexpr double relative_ridge = 1e-11;
 
-/// Solves by conjugate gradients, and compares with the direct solution: the RMS difference between neighbors' steps
-/// over the RMS step. The constant, which the ridge alone holds, is left out.
+/// Solves by conjugate gradients and compares the steps between neighboring pixels with those of the direct solution:
+/// RMS difference over RMS step. Steps do not depend on the constant, which only the ridge determines.
 void expect_direct_solution(const GridSystem& system, double difference, int most_iterations) {
   const PixelIndex& pixels = system.pixels();
   const double ridge = relative_ridge * system.largest_diagonal();
@@ -39,7 +39,7 @@ void expect_direct_solution(const GridSystem& system, double difference, int mos
   EXPECT_LT(std::sqrt(of_difference / squares), difference);
 }
 
-/// A disc with holes, lines one and two pixels wide that lead to it, single pixels and a second part.
+/// A disc with holes, connected to lines one and two pixels wide; single pixels; and a separate second part.
 Mask difficult_mask(int size) {
   Mask mask({size, size});
   const double radius = 0.35 * size, centre = 0.5 * size;
@@ -65,15 +65,15 @@ TEST(GridSolver, ConjugateGradientsGiveTheDirectSolution) {
   }
 }
 
-TEST(GridSolver, HolesThinLinesAndSeparatePartsAreSolvedLikeDirectly) {
+TEST(GridSolver, HolesThinLinesAndSeparatePartsGiveTheDirectSolution) {
   const PixelIndex pixels(difficult_mask(300));
   GridSystem system(pixels);
   add_height_like_rows(system);
   expect_direct_solution(system, 1e-3, 1000);
 }
 
-TEST(GridSolver, HeldPixelsAndCompactStencilsAreSolvedLikeDirectly) {
-  // First differences couple every pixel with the next; two pixels are held, as a Dirichlet condition would.
+TEST(GridSolver, FixedPixelsAndCompactStencilsGiveTheDirectSolution) {
+  // First differences couple every pixel with the next. Two pixels are fixed as by a Dirichlet condition.
   const PixelIndex pixels(Mask({220, 180}, 1, 1));
   GridSystem system(pixels);
   for (int i = 0; i < pixels.count(); ++i) {
@@ -89,11 +89,11 @@ TEST(GridSolver, HeldPixelsAndCompactStencilsAreSolvedLikeDirectly) {
     const double one = 1;
     system.add_row(&held, &one, 1, 3, 1e4);
   }
-  // The weights of 1e4 are in the right side's length too, of which the tolerance is a part.
+  // The limit is looser here: the tolerance is relative to the right side's length, which the weights of 1e4 increase.
   expect_direct_solution(system, 0.02, 1000);
 }
 
-TEST(GridSolver, ANearStartOrALesserReductionSavesIterations) {
+TEST(GridSolver, ACloseStartOrALooserReductionSavesIterations) {
   const PixelIndex pixels(Mask({200, 200}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);
@@ -112,14 +112,14 @@ TEST(GridSolver, ANearStartOrALesserReductionSavesIterations) {
   EXPECT_LT(solver.summary().iterations, 0.8 * cold);
 }
 
-TEST(GridSolver, ChoosesBySize) {
+TEST(GridSolver, ChoosesTheDirectSolverBySize) {
   const PixelIndex pixels(Mask({40, 40}, 1, 1));
   EXPECT_TRUE(GridSolver(pixels, {}).is_direct());
   EXPECT_TRUE(GridSolver(pixels, {}, 1600).is_direct());
   EXPECT_FALSE(GridSolver(pixels, {}, 1599).is_direct());
 }
 
-TEST(GridSolver, IndefiniteMatricesAreAStatus) {
+TEST(GridSolver, IndefiniteMatricesGiveAStatus) {
   const PixelIndex pixels(Mask({100, 100}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);

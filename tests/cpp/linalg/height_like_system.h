@@ -6,10 +6,10 @@
 
 namespace malus {
 
-/// Adds to a cleared system what a height problem adds (Eq 9 and 11, central differences): at every pixel one row
-/// across the azimuth and one along the light, both in the derivatives of the height, and small second differences. The
-/// azimuth turns all over the raster and the rows' weights vary a hundredfold, so that the system is anisotropic in
-/// every direction somewhere; only second differences couple pixels of unlike parity.
+/// Adds the rows of a height problem (Eq 9 and 11, central differences) to a cleared system: at every pixel one row for
+/// the height's derivative across the azimuth, one for that along the light, and second differences of small weight.
+/// The azimuth turns across the raster and the weights of the rows vary a hundredfold, so that the system is
+/// anisotropic in every direction somewhere. Only second differences couple pixels of different parity.
 inline void add_height_like_rows(GridSystem& system) {
   const PixelIndex& pixels = system.pixels();
   constexpr double smoothness = 0.05, light_u = 0.4, light_v = 0.3;
@@ -30,7 +30,7 @@ inline void add_height_like_rows(GridSystem& system) {
       const double azimuth = 3 * std::sin(x) * std::cos(0.7 * y) + 0.5 * std::sin(7 * x + 5 * y);
       const double slope = 0.1 + 0.9 * std::pow(std::sin(0.31 * x + 1.3 * y), 2), weight = slope * slope;
       const auto add = [&](double p, double q, double target, double w) {
-        // Rows through one pixel may name it twice, once for each derivative.
+        // Both derivatives may refer to the same pixel: sum up its coefficients.
         int distinct[4];
         double coefficients[4];
         int count = 0;

@@ -10,7 +10,7 @@ namespace malus {
 namespace {
 
 TEST(LogDeterminant, MatchesTheRecurrenceOfATridiagonalMatrix) {
-  // det of tridiag(−1, 3, −1): d_n = 3 d_{n−1} − d_{n−2}.
+  // Determinant of tridiag(−1, 3, −1): d_n = 3 d_{n−1} − d_{n−2}.
   constexpr int n = 200;
   std::vector<Eigen::Triplet<double>> entries;
   for (int i = 0; i < n; ++i) {

@@ -38,7 +38,7 @@ Mask disc(int size) {
   return mask;
 }
 
-TEST(SymmetricSolver, SolvesLikeADenseSolverAndAgainWithOtherValues) {
+TEST(SymmetricSolver, AgreesWithADenseSolverAlsoForOtherValues) {
   const PixelIndex pixels(disc(20));
   SymmetricSolver solver{Context{}};
   for (const double weight : {1.0, 7.0}) {
@@ -53,7 +53,7 @@ TEST(SymmetricSolver, SolvesLikeADenseSolverAndAgainWithOtherValues) {
   }
 }
 
-TEST(SymmetricSolver, EstimatesMemoryBeforeSpendingIt) {
+TEST(SymmetricSolver, EstimatesMemoryBeforeAllocatingIt) {
   const PixelIndex pixels(disc(60));
   const auto lower = plate(pixels, 1).lower(0);
   SymmetricSolver solver{Context{}};
@@ -63,7 +63,7 @@ TEST(SymmetricSolver, EstimatesMemoryBeforeSpendingIt) {
   EXPECT_GT(estimate.flops, estimate.factor_bytes);
 }
 
-TEST(SymmetricSolver, SingularAndIndefiniteMatricesAreAStatus) {
+TEST(SymmetricSolver, IndefiniteMatricesGiveAStatus) {
   const PixelIndex pixels(Mask({6, 6}, 1, 1));
   GridSystem system(pixels);
   for (int i = 0; i + 1 < pixels.count(); ++i) system.add(i, i, 1);
@@ -109,13 +109,13 @@ TEST(SymmetricSolver, StopsWhenCancelled) {
   expect_error(ErrorCode::interrupted, [&] { solver.factorize(plate(pixels, 1).lower(0)); });
 }
 
-TEST(SymmetricSolver, ColumnsAreSolvedLikeOneAfterTheOther) {
+TEST(SymmetricSolver, SeveralColumnsAreSolvedLikeSingleOnes) {
   const PixelIndex pixels(disc(90));
   const GridSystem system = plate(pixels, 3);
   const auto lower = system.lower(0);
   SymmetricSolver solver{Context{}};
   ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
-  // Sets of right-hand sides that go through the factor together, whole ones and not.
+  // Right-hand sides are solved in groups: test full and partial groups.
   for (const int count : {1, 2, 8, 9, 11}) {
     Eigen::MatrixXd columns(pixels.count(), count);
     for (int k = 0; k < count; ++k) {
@@ -131,8 +131,8 @@ TEST(SymmetricSolver, ColumnsAreSolvedLikeOneAfterTheOther) {
   }
 }
 
-TEST(SymmetricSolver, PartsWithoutConnectionAndGivenOrdersAreFactorizedLikeADenseMatrix) {
-  // Two discs of unlike size and a pixel of its own: several trees of supernodes.
+TEST(SymmetricSolver, DisconnectedPartsAndGivenOrdersAgreeWithADenseMatrix) {
+  // Two discs of different size and a single pixel give several trees of supernodes.
   Mask mask({40, 24});
   for (int v = 0; v < 24; ++v) {
     for (int u = 0; u < 40; ++u) {
@@ -158,7 +158,7 @@ TEST(SymmetricSolver, PartsWithoutConnectionAndGivenOrdersAreFactorizedLikeADens
   }
 }
 
-TEST(SymmetricSolver, IsOfUseAgainAfterAMatrixThatIsNotDefinite) {
+TEST(SymmetricSolver, CanBeReusedAfterAnIndefiniteMatrix) {
   const PixelIndex pixels(disc(60));
   const GridSystem system = plate(pixels, 2);
   const auto lower = system.lower(0);

@@ -11,7 +11,7 @@
 namespace malus {
 namespace {
 
-/// Four photos about the model's origin, and points known in a national grid far away.
+/// Four photos around the model's origin, and points with coordinates in a distant national grid.
 struct Site {
   std::vector<MarkedView> views;
   double scale = 3.7;
@@ -87,7 +87,7 @@ TEST(AdjustDatum, NoiseAloneNamesNoPoint) {
   EXPECT_LE(named, trials / 50);
 }
 
-TEST(AdjustDatum, TooFewOrOnALine) {
+TEST(AdjustDatum, RefusesTooFewPointsAndPointsOnALine) {
   const Site site;
   std::vector<KnownPoint> points = site.points();
   points.resize(2);

@@ -19,7 +19,7 @@ Pose beside(double x, double turn_rad) {
   return pose;
 }
 
-TEST(EpipolarLine, RunsThroughWhereTheOtherPhotoShowsThePoint) {
+TEST(EpipolarLine, PassesThroughTheImageOfThePoint) {
   const Pose first = beside(0, 0), second = beside(30, 0.15);
   for (const Eigen::Vector3d& point : {Eigen::Vector3d(5, -20, 200), Eigen::Vector3d(-30, 25, 180)}) {
     const auto seen = [&](const Pose& pose) { return lens().project(pose.rotation * point + pose.translation); };
@@ -47,7 +47,7 @@ TEST(EpipolarLine, HasNoPlacesOutsideTheImageThatTheLensPolynomialFoldsBack) {
   }
 }
 
-TEST(EpipolarLine, CamerasAtOnePlaceHaveNone) {
+TEST(EpipolarLine, DoesNotExistForCamerasAtOnePlace) {
   EXPECT_TRUE(epipolar_line(lens(), beside(0, 0), {100, 100}, lens(), beside(0, 0.1)).empty());
 }
 

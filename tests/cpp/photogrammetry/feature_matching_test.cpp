@@ -29,7 +29,7 @@ TEST(MatchFeatures, FindsAPermutation) {
   for (const auto& [i, j] : matches) EXPECT_EQ(j, (i * 7) % 150);
 }
 
-TEST(MatchFeatures, LeavesOutWhatIsAmbiguousOrFar) {
+TEST(MatchFeatures, LeavesOutAmbiguousAndDistantMatches) {
   const Descriptors a = random_descriptors(20, 2);
   Descriptors twice(40, 128);
   twice << a, a;

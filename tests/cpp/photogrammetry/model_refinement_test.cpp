@@ -22,7 +22,7 @@ double height(double x, double y) {
   return 2.5 * std::sin(x / 25) * std::cos(y / 30) + 0.1 * x;
 }
 
-/// Reflectance of the surface at (x, y): waves down to a few pixels without a period in sight.
+/// Reflectance of the surface at (x, y): waves down to a few pixels, not periodic within the view.
 double texture(double x, double y) {
   double sum = 0.5, amplitude = 0.1;
   for (int octave = 0; octave < 4; ++octave) {
@@ -66,7 +66,7 @@ Image<float> photo(const LensCamera& camera, const Pose& pose, double gain, std:
   return image;
 }
 
-/// A station that faces the surface and six photos around it; the model is as features leave it.
+/// A station that faces the surface and six photos around it. `model` has errors as after matching features.
 struct Scene {
   ColmapModel truth, model;
   std::map<std::string, Image<float>> pictures;
@@ -74,7 +74,7 @@ struct Scene {
 
 Pose disturbed(const Pose& pose, std::mt19937& random) {
   std::normal_distribution<double> normal;
-  // About a point of the surface, as a weakly determined pose turns: the image hardly moves.
+  // Turn about a point of the surface, as weakly determined poses do: the image hardly moves.
   const Eigen::Vector3d pivot(0, 0, distance);
   const Eigen::Vector3d turn = 3e-3 * Eigen::Vector3d(normal(random), normal(random), normal(random));
   const Eigen::Matrix3d about = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
@@ -142,14 +142,14 @@ double turn(const Pose& a, const Pose& b) {
   return Eigen::AngleAxisd(a.rotation * b.rotation.transpose()).angle();
 }
 
-/// Largest error of the station's direction to the first photo's, which no datum changes.
+/// Angle error of the station's rotation relative to the first photo's, which does not depend on the datum, in rad.
 double station_turn(const ColmapModel& model, const ColmapModel& truth) {
   const Eigen::Matrix3d found = model.images.at(7).pose.rotation * model.images.at(1).pose.rotation.transpose();
   const Eigen::Matrix3d right = truth.images.at(7).pose.rotation * truth.images.at(1).pose.rotation.transpose();
   return Eigen::AngleAxisd(found * right.transpose()).angle();
 }
 
-TEST_F(Refinement, TurnsCamerasBackThatFeaturesLeftAskew) {
+TEST_F(Refinement, CorrectsTurnedCamerasOfAModelFromFeatures) {
   ColmapModel model = scene_->model;
   const double before = station_turn(model, scene_->truth);
   const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {}, {}, {});
@@ -164,7 +164,7 @@ TEST_F(Refinement, TurnsCamerasBackThatFeaturesLeftAskew) {
   EXPECT_LT(after, 6e-4);
   for (const auto& [id, image] : model.images)
     EXPECT_LT(turn(image.pose, scene_->truth.images.at(id).pose), 8e-4) << id;
-  // Lenses that are not named are kept to the bit.
+  // Lenses that are not named stay exactly the same.
   for (const auto& [id, camera] : model.cameras) EXPECT_EQ(camera.params, scene_->truth.cameras.at(id).params);
   EXPECT_TRUE(done.lens_sigma.empty());
   for (const auto& [id, point] : model.points) EXPECT_GE(point.error_px, 0);
@@ -182,7 +182,7 @@ TEST_F(Refinement, SameWithAnyNumberOfThreads) {
   }
 }
 
-TEST_F(Refinement, CalibratesALensAndSaysHowWell) {
+TEST_F(Refinement, CalibratesALensAndStatesItsSigma) {
   ColmapModel model = scene_->model;
   std::vector<double>& lens = model.cameras.at(1).params;
   lens[0] += 2;
@@ -256,7 +256,7 @@ TEST_F(Refinement, NamesAPictureThatIsMissingOrOfAnotherSize) {
       ErrorCode::input, [&] { refine_model(model, pictures, "station.png", {}, {}, {}); }, "260 x 200");
 }
 
-TEST(BundleAdjustment, RefusesWhatCannotBeAdjusted) {
+TEST(BundleAdjustment, RefusesInvalidAndUnderdeterminedInput) {
   Bundle bundle;
   bundle.lenses.push_back({{LensModel::pinhole, {100, 100}, {100, 100, 50, 50}}, LensFreedom::fixed, {}});
   bundle.views.push_back({0, {}});

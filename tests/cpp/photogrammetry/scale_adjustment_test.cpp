@@ -10,9 +10,9 @@
 namespace malus {
 namespace {
 
-constexpr double scale = 3.7;  // station units a model unit
+constexpr double scale = 3.7;  // station units per model unit
 
-/// Photos around the origin, in model units, from `radius` away, up to `spread_deg` off the z axis.
+/// Photos around the origin at distance `radius` (model units), inclined to the z axis by `spread_deg`.
 std::vector<MarkedView> photos_around_origin(int count, double radius, double spread_deg) {
   const LensCamera camera{LensModel::opencv, {960, 640}, {2100, 2110, 478, 322, -0.05, 0.02, 1e-4, -2e-4}};
   std::vector<MarkedView> views;
@@ -82,8 +82,8 @@ TEST(AdjustScale, ErrorsAreWithinTheirSigma) {
     check_squares += std::pow(check.residual / check.sigma, 2);
     weights += result.unit_weight;
   }
-  // Chi-square of 200 degrees of freedom: standard deviation 0.1 of its mean. Sigma is never made smaller by a lucky
-  // fit, which makes the ratio a little less than 1.
+  // Chi-square with 200 degrees of freedom has a standard deviation of 0.1 of its mean. A fit better than expected does
+  // not reduce sigma, so that the ratio is slightly less than 1.
   EXPECT_NEAR(squares / trials, 0.9, 0.25);
   EXPECT_NEAR(check_squares / trials, 0.9, 0.25);
   EXPECT_NEAR(weights / trials, 1, 0.05);
@@ -101,7 +101,7 @@ TEST(AdjustScale, NamesTheWrongMark) {
   EXPECT_LT(std::abs(result.scale - scale), 3 * result.sigma);
 }
 
-TEST(AdjustScale, RefusesWhatCannotDetermineIt) {
+TEST(AdjustScale, RefusesInputThatDoesNotDetermineTheScale) {
   std::mt19937 random(6);
   const auto views = photos_around_origin(4, 170, 25);
   auto distances = distances_of(views, 0.2, random);

@@ -12,7 +12,7 @@ namespace {
 
 constexpr int side = 200;
 
-/// A target drawn with a white border, seen through a homography, as an image of 640 × 480.
+/// Image of 640 × 480 pixels of a target with a white border, transformed by the homography `view`.
 Image<std::uint8_t> photo_of_target(int id, cv::aruco::PREDEFINED_DICTIONARY_NAME dictionary, const cv::Matx33d& view) {
   cv::Mat target;
   cv::aruco::drawMarker(cv::aruco::getPredefinedDictionary(dictionary), id, side, target, 1);

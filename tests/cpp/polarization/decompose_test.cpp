@@ -17,7 +17,7 @@ std::vector<double> even_angles(int count) {
   return angles;
 }
 
-/// Images of a field of known Stokes vectors, with Gaussian noise of the model if `seed` is not 0.
+/// Images of a field of known Stokes vectors, with the noise model's Gaussian noise if `seed` is not 0.
 std::vector<Image<float>> images_of(const std::function<Eigen::Vector3d(int, int)>& stokes, Size size,
                                     const std::vector<double>& angles, const NoiseModel& noise, unsigned seed) {
   std::mt19937 random(seed);
@@ -68,7 +68,7 @@ TEST(Decompose, RecoversTheSinusoid) {
 }
 
 TEST(Decompose, PhaseTurnsCounterClockwiseFromImageX) {
-  // A source polarized along 30°: brightest through the filter at 30°, dark at 120°.
+  // Light polarized along 30° is brightest through the filter at 30° and dark at 120°.
   const std::vector<double> angles{0, 30 * degree_rad, 60 * degree_rad, 120 * degree_rad};
   std::vector<Image<float>> images;
   for (const double a : angles)
@@ -200,7 +200,7 @@ TEST(Decompose, DebiasedDegreeIsUnbiasedInTheSquare) {
 }
 
 TEST(Decompose, SingleAndDoublePrecisionAgreeInEveryQuadrant) {
-  // Noise weights go through the double-precision fit; without noise both find the same sinusoid.
+  // The noise-weighted fit is in double precision. Without noise, both fits must find the same sinusoid.
   const Size size{720, 5};
   const auto truth = [](int u, int v) { return stokes_vector(0.05 + 0.1 * v, 0.4, u * std::numbers::pi / 720); };
   const auto angles = even_angles(6);
@@ -218,8 +218,8 @@ TEST(Decompose, SingleAndDoublePrecisionAgreeInEveryQuadrant) {
   }
 }
 
-TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
-  const Size size{301, 7};  // runs that are not full
+TEST(Decompose, SixteenBitImagesGiveTheSameFitAsFloatImages) {
+  const Size size{301, 7};  // the last group of pixels is incomplete
   const auto truth = [](int u, int v) { return stokes_vector(0.1 + 0.001 * u, 0.1 + 0.1 * v, 0.01 * u); };
   const auto angles = even_angles(6);
   std::vector<Image<float>> rounded = images_of(truth, size, angles, {}, 0);
@@ -238,7 +238,7 @@ TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
     DecomposeOptions options;
     options.weighting = weighting;
     const auto expected = decompose(rounded, angles, {}, full(size), {}, options, {});
-    // No mask: everything.
+    // Without a mask all pixels are fitted.
     const auto state = decompose(size, std::span<const std::uint16_t* const>(pixels), angles, {}, {}, {}, options, {});
     EXPECT_EQ(state.valid, expected.valid);
     for (std::size_t i = 0; i < size.area(); ++i) {
@@ -250,9 +250,9 @@ TEST(Decompose, SixteenBitImagesAreReadAsTheyAre) {
   }
 }
 
-TEST(Decompose, ResidualsOfAnyNumberOfImages) {
-  // Images are fitted in groups; what only fills up the last group must not count. With hardly any polarization all
-  // have the same noise, and the weighted fit, which is in double precision, is the same.
+TEST(Decompose, NormalizedResidualsAreOneForAnyNumberOfImages) {
+  // Images are fitted in groups; the padding of the last group must not count. With hardly any polarization all images
+  // have the same noise, so that the noise-weighted fit, which is in double precision, gives the same result.
   const Size size{40, 30};
   for (const int count : {4, 5, 6, 7, 13}) {
     const auto angles = even_angles(count);

@@ -9,7 +9,7 @@
 namespace malus {
 namespace {
 
-/// Nominal angles 0, 30, …, exposures 1, as they are given.
+/// The polarizer as given: nominal angles 0, 30, … and exposures 1.
 PolarizerFit given_fit() {
   const std::vector<double> angles{0, 30 * degree_rad, 60 * degree_rad, 90 * degree_rad, 120 * degree_rad};
   return polarizer_as_given(angles, {});
@@ -36,7 +36,7 @@ TEST(PolarizerCalibration, CorrectsAZeroThatIsClearlyOff) {
   EXPECT_FALSE(calibrate_frame(given_fit(), false, true, zero_error(0.3, 0.01), {}).calibration.from_surface);
 }
 
-TEST(PolarizerCalibration, OnlyWarnsWhenOff) {
+TEST(PolarizerCalibration, OnlyWarnsIfCalibrationIsOff) {
   PolarizerOptions options;
   options.calibrate_angles = AngleCalibration::off;
   const PolarizerCalibration off = calibrate_frame(given_fit(), false, true, zero_error(2, 0.1), options).calibration;
@@ -45,7 +45,7 @@ TEST(PolarizerCalibration, OnlyWarnsWhenOff) {
   ASSERT_EQ(off.warnings.size(), 1u);
 }
 
-TEST(PolarizerCalibration, TurnsByItsOwnRuleWhateverElseIsCalibrated) {
+TEST(PolarizerCalibration, ATurnNeedsTheSameEvidenceIfAnglesAreCalibrated) {
   for (const AngleCalibration calibrate : {AngleCalibration::automatic, AngleCalibration::on}) {
     PolarizerOptions options;
     options.calibrate_angles = calibrate;
@@ -58,7 +58,7 @@ TEST(PolarizerCalibration, TurnsByItsOwnRuleWhateverElseIsCalibrated) {
   }
 }
 
-/// What estimate_frame says of a scene seen in a wrong frame.
+/// The estimate for a scene whose Stokes vectors are in a wrong frame.
 FrameEstimate seen_in(const StokesFrame& wrong, bool specular) {
   const PolarizerScene scene(specular);
   return estimate_frame(scene.state(wrong), nullptr, scene.normals, {}, {}, {});
@@ -76,7 +76,7 @@ TEST(PolarizerCalibration, AScaleThatCountsTheOtherWayIsAnError) {
   EXPECT_FALSE(said.from_surface);
 }
 
-TEST(PolarizerCalibration, AZeroOffByAQuarterIsAnErrorWhereItIsCertain) {
+TEST(PolarizerCalibration, AZeroOffBy90DegreesIsAnErrorIfCertain) {
   expect_error(
       ErrorCode::input,
       [] { calibrate_frame(given_fit(), false, true, seen_in(turned_scale(90 * degree_rad), true), {}); },
@@ -87,7 +87,7 @@ TEST(PolarizerCalibration, AZeroOffByAQuarterIsAnErrorWhereItIsCertain) {
   EXPECT_FALSE(doubted.calibration.from_surface);
 }
 
-TEST(PolarizerCalibration, SurfaceSharpensWhatImagesCannotTell) {
+TEST(PolarizerCalibration, TheSurfaceDeterminesTheFrameThatImagesLeaveFree) {
   const PolarizerScene scene(true);
   const std::vector<double> angles{1 * degree_rad,  28 * degree_rad,  62 * degree_rad,
                                    91 * degree_rad, 118 * degree_rad, 151 * degree_rad};
@@ -98,7 +98,7 @@ TEST(PolarizerCalibration, SurfaceSharpensWhatImagesCannotTell) {
   const PolarizerFit fit =
       fit_polarizer(scene.images(angles, gains, noise), nominal, noise, Mask(scene.size, 1, 255), {}, {}, {});
   const Eigen::MatrixX3d found = polarizer_rows(fit.angles_rad, fit.gains), truth = polarizer_rows(angles, gains);
-  // The frame that the fit ended in: truth = found · wrong.
+  // The frame of the fitted rows: truth = found · wrong.
   const StokesFrame wrong = found.completeOrthogonalDecomposition().solve(truth);
   const FrameEstimate surface = estimate_frame(scene.state(wrong), nullptr, scene.normals, {}, {}, {});
   const PolarizerCalibration result = calibrate_frame(fit, true, true, surface, {}).calibration;
@@ -107,7 +107,7 @@ TEST(PolarizerCalibration, SurfaceSharpensWhatImagesCannotTell) {
     mean += std::log(gains[k]) / 6;
     turn += std::remainder(result.angles_deg[k] - angles[k] / degree_rad, 180) / 6;
   }
-  EXPECT_LT(std::abs(turn), 0.3);  // The nominal angles' mean error, .17°: too little to turn a known scale for.
+  EXPECT_LT(std::abs(turn), 0.3);  // The nominal angles' mean error of .17° is too small for correcting a known scale.
   for (std::size_t k = 0; k < 6; ++k) {
     EXPECT_NEAR(std::remainder(result.angles_deg[k] - angles[k] / degree_rad, 180), turn, 0.05);
     EXPECT_NEAR(result.gains[k], gains[k] / std::exp(mean), 1.5e-3);

@@ -38,14 +38,14 @@ TEST(FrameEstimate, FindsAnUnknownScale) {
   }
 }
 
-TEST(FrameEstimate, SeesAScaleReadFromBehind) {
+TEST(FrameEstimate, DetectsAScaleReadFromBehind) {
   const PolarizerScene scene;
   const FrameEstimate found = estimate_frame(scene.state(mirrored_scale()), nullptr, scene.normals, {}, {}, {});
   EXPECT_TRUE(found.mirrored);
   EXPECT_LT(found.coherence.ahead(), -4);
 }
 
-TEST(FrameEstimate, SaysWhenTheSurfaceIsFlat) {
+TEST(FrameEstimate, ReportsAFlatSurface) {
   PolarizerScene scene;
   for (int i = 0; i < scene.size.width * scene.size.height; ++i) {
     const auto at = static_cast<std::size_t>(3 * i);

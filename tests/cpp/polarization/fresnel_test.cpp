@@ -9,7 +9,7 @@ namespace {
 
 const double indices[] = {1.3, 1.4, 1.5, 1.6, 1.7, 1.8};
 
-/// Amplitude reflectances straight from Fresnel's equations with both angles.
+/// Reflectances as squares of Fresnel's amplitude ratios, written with both angles.
 Reflectance<double> textbook(double zenith, double eta) {
   const double refracted = std::asin(std::sin(zenith) / eta);
   const double s = (std::cos(zenith) - eta * std::cos(refracted)) / (std::cos(zenith) + eta * std::cos(refracted));
@@ -31,7 +31,7 @@ TEST(Fresnel, ReflectancesAreTheTextbookOnes) {
 TEST(Fresnel, Eq6IsTheTransmissionRatio) {
   for (const double eta : indices) {
     for (double zenith = 0; zenith <= 89.5 * degree_rad; zenith += 0.5 * degree_rad) {
-      // Light that leaves the body: transmitted is what is not reflected; the inside angles are those of Snell's law.
+      // Light that leaves the body: transmittance = 1 − reflectance; Snell's law relates the angles inside and outside.
       const auto r = textbook(zenith, eta);
       const double expected = ((1 - r.p) - (1 - r.s)) / ((1 - r.p) + (1 - r.s));
       EXPECT_NEAR(diffuse_degree(zenith, eta), expected, 1e-9) << eta << ' ' << zenith / degree_rad;
@@ -72,7 +72,7 @@ TEST(Fresnel, Eq7AsPrintedIsTheCosine) {
   }
 }
 
-TEST(Fresnel, DegreesBeyondTheModelAreClampedAndSaidSo) {
+TEST(Fresnel, DegreesBeyondTheModelAreClampedAndFlagged) {
   EXPECT_TRUE(diffuse_zenith(0.4, 1.5).clamped);
   EXPECT_DOUBLE_EQ(diffuse_zenith(0.4, 1.5).zenith_rad, std::numbers::pi / 2);
   EXPECT_TRUE(diffuse_zenith(-0.01, 1.5).clamped);
@@ -87,7 +87,7 @@ TEST(Fresnel, SpecularZenithOnBothBranches) {
       const auto branch =
           zenith <= brewster_angle(eta) ? SpecularBranch::below_brewster : SpecularBranch::above_brewster;
       const auto inverse = specular_zenith(specular_degree(zenith, eta), eta, branch);
-      // The degree is flat at Brewster's angle: there a rounding error of 1e-16 is 1e-8 rad.
+      // The degree has its maximum at Brewster's angle: a rounding error of 1e-16 there changes the zenith by 1e-8 rad.
       EXPECT_NEAR(inverse.zenith_rad / degree_rad, zenith / degree_rad, 2e-6) << eta << ' ' << zenith / degree_rad;
     }
   }

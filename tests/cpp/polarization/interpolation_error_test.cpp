@@ -9,7 +9,7 @@
 namespace malus {
 namespace {
 
-/// Uniform polarized light seen by four polarizers, with this residual in standard deviations everywhere.
+/// Uniform polarized light seen through four polarizers; the residual is given in standard deviations.
 PolarizationState uniform_state(float residual) {
   const Size size{40, 30};
   PolarizationState state;
@@ -23,7 +23,7 @@ PolarizationState uniform_state(float residual) {
   return state;
 }
 
-TEST(InterpolationError, VarianceIsFiveTimesThatOfTheResidualsTimesThePixelsThatShareThem) {
+TEST(InterpolationError, VarianceFactorIsFiveTimesSquaredResidualTimesSharingPixels) {
   PolarizationState state = uniform_state(3);
   const Eigen::Matrix3d noise = state.stokes_covariance(20, 15);
   add_interpolation_error(state, Image<float>(state.size(), 1, 10.0f), {});
@@ -31,7 +31,7 @@ TEST(InterpolationError, VarianceIsFiveTimesThatOfTheResidualsTimesThePixelsThat
   EXPECT_NEAR(state.covariance(0, 0)(2, 2) / state.covariance(20, 15)(2, 2), 1, 1e-4);
 }
 
-TEST(InterpolationError, FourValuesOfOneMeasurementAreTheLeast) {
+TEST(InterpolationError, VarianceFactorIsAtLeastFour) {
   PolarizationState state = uniform_state(0.1f);
   const double noise = state.stokes_covariance(5, 5)(2, 2);
   add_interpolation_error(state, Image<float>(state.size(), 1, 10.0f), {});

@@ -13,7 +13,7 @@ PhaseCoherence coherence_of(const PolarizationState& state, const Image<float>& 
   return phase_coherence(phase_cells(state, nullptr, normals, {}));
 }
 
-TEST(PhaseCoherence, ExactDataAgreeInEitherReading) {
+TEST(PhaseCoherence, ExactDataAgreeForDiffuseAndSpecularReflection) {
   for (const bool specular : {false, true}) {
     const PolarizerScene scene(specular);
     const PhaseCoherence found = coherence_of(scene.state(StokesFrame::Identity()), scene.normals);
@@ -25,7 +25,7 @@ TEST(PhaseCoherence, ExactDataAgreeInEitherReading) {
   }
 }
 
-TEST(PhaseCoherence, SeesTurnAndDirection) {
+TEST(PhaseCoherence, DetectsTurnAndDirection) {
   const PolarizerScene scene;
   const PhaseCoherence turned = coherence_of(scene.state(turned_scale(20 * degree_rad)), scene.normals);
   EXPECT_NEAR(turned.turn_rad / degree_rad, 20, 0.1);
@@ -37,7 +37,7 @@ TEST(PhaseCoherence, SeesTurnAndDirection) {
   EXPECT_NEAR(behind.opposite_turn_rad, 0, 0.1 * degree_rad);
 }
 
-TEST(PhaseCoherence, AsksForMoreToContradictADirectionThanToConfirmIt) {
+TEST(PhaseCoherence, ContradictingADirectionNeedsMoreEvidenceThanConfirmingIt) {
   PhaseCoherence found;
   found.ahead_sigma = 0.1;
   found.direct = 0.85;
@@ -75,7 +75,7 @@ Image<float> normals_of(const Image<float>& p, const Image<float>& q, double slo
   return normals;
 }
 
-TEST(PhaseCoherence, UnrelatedDataTellNothing) {
+TEST(PhaseCoherence, UnrelatedDataDetermineNoDirection) {
   const PolarizerScene scene;
   std::mt19937 random(3);
   double disagreement = 0;
@@ -88,8 +88,8 @@ TEST(PhaseCoherence, UnrelatedDataTellNothing) {
   EXPECT_NEAR(disagreement, 0.707, 0.03);
 }
 
-TEST(PhaseCoherence, OnePolarizationOfEverythingIsNoAgreement) {
-  // A panel that bends one way under a polarized lamp: phases and azimuths both have a preferred direction.
+TEST(PhaseCoherence, UniformPolarizationIsNoAgreement) {
+  // A panel that slopes in one direction, lit by a polarized lamp: phases and azimuths both have a preferred direction.
   const PolarizerScene scene;
   std::mt19937 random(5);
   const Image<float> p = waves(scene.size, random), q = waves(scene.size, random);
@@ -108,8 +108,8 @@ TEST(PhaseCoherence, OnePolarizationOfEverythingIsNoAgreement) {
   EXPECT_FALSE(knows_direction(found));
 }
 
-TEST(PhaseCoherence, StandardDeviationsAreThoseOfTheErrors) {
-  // The surface is known with errors of slope that neighbors share.
+TEST(PhaseCoherence, StandardDeviationsMatchTheErrors) {
+  // The surface's slopes have errors that are correlated between neighbors.
   const PolarizerScene scene;
   const PolarizationState state = scene.state(StokesFrame::Identity());
   std::mt19937 random(11);
@@ -134,7 +134,7 @@ TEST(PhaseCoherence, StandardDeviationsAreThoseOfTheErrors) {
   EXPECT_LT(std::sqrt(squares), 1.4);
 }
 
-TEST(PhaseCoherence, SaysWhatIsNotKnown) {
+TEST(PhaseCoherence, ReportsTheSharesOfKnownPhasesAndAzimuths) {
   PolarizerScene scene;
   PolarizationState state = scene.state(StokesFrame::Identity());
   const PhaseCoherence well = coherence_of(state, scene.normals);

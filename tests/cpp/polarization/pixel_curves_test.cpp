@@ -5,7 +5,7 @@
 namespace malus {
 namespace {
 
-TEST(PixelCurves, ChosenPixelsLieInTheImages) {
+TEST(PixelCurves, ChosenPixelsMustLieInTheImages) {
   PolarizationState state;
   state.i_un = Image<float>({4, 3});
   std::vector<Image<float>> images(3, Image<float>({4, 3}));
@@ -16,7 +16,7 @@ TEST(PixelCurves, ChosenPixelsLieInTheImages) {
   EXPECT_EQ(curves[0].u, 3);
   EXPECT_EQ(curves[0].v, 2);
   EXPECT_EQ(curves[0].intensities, (std::vector<double>{0, 0, 0.5}));
-  // As a station of RAW files may have them, whose size is not known when the station file is read.
+  // Pixels outside can occur with RAW files, because their size is not known when the station file is read.
   for (const std::array<double, 2> outside : {std::array{4.0, 0.0}, {0.0, 3.0}, {-1.0, 0.0}}) {
     expect_error(
         ErrorCode::input,

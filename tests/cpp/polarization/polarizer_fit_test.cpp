@@ -26,10 +26,11 @@ PolarizerFit fit(const PolarizerScene& scene, const std::vector<double>& true_de
                        Mask(scene.size, 1, 255), {}, {}, context);
 }
 
-/// Errors in a frame of Stokes vectors in which the mean differences are none: what images can tell.
+/// Largest error of the fitted angles and gains that does not depend on the frame of the Stokes vectors, which images
+/// alone leave free.
 double worst_product_error(const PolarizerFit& fit, const std::vector<double>& true_deg,
                            const std::vector<double>& gains) {
-  // Rows on the cone: their Lorentz products with each other do not depend on the frame, up to a common factor.
+  // The Lorentz products of the rows do not depend on the frame, up to a common factor.
   const Eigen::MatrixX3d found = polarizer_rows(fit.angles_rad, fit.gains),
                          truth = polarizer_rows(radians(true_deg), gains);
   const Eigen::DiagonalMatrix<double, 3> lorentz(1, -1, -1);
@@ -37,7 +38,7 @@ double worst_product_error(const PolarizerFit& fit, const std::vector<double>& t
   return (a / a.norm() - b / b.norm()).cwiseAbs().maxCoeff();
 }
 
-TEST(PolarizerFit, FindsWrongAnglesAndExposuresUpToTheFrame) {
+TEST(PolarizerFit, CorrectsWrongAnglesAndExposuresUpToTheFrame) {
   const std::vector<double> angles{2.1, 28.2, 62.5, 88.3, 121.7, 147.9}, gains{1.02, 0.98, 1.01, 0.97, 1.03, 0.99};
   const PolarizerFit found = fit(PolarizerScene(true), angles, gains, nominal_deg);
   EXPECT_LT(worst_product_error(found, angles, gains), 1e-4);
@@ -48,7 +49,7 @@ TEST(PolarizerFit, FindsWrongAnglesAndExposuresUpToTheFrame) {
   EXPECT_NEAR(log_gain, 0, 1e-6);
 }
 
-TEST(PolarizerFit, LeavesRightAnglesWhereTheyAre) {
+TEST(PolarizerFit, KeepsCorrectAngles) {
   const PolarizerFit found = fit(PolarizerScene(true), nominal_deg, std::vector<double>(6, 1.0), nominal_deg);
   EXPECT_LT(found.improvement(), 0.01);
   for (std::size_t k = 0; k < 6; ++k) {
@@ -57,27 +58,28 @@ TEST(PolarizerFit, LeavesRightAnglesWhereTheyAre) {
   }
 }
 
-TEST(PolarizerFit, FindsAnglesThatAreNotKnownAtAll) {
+TEST(PolarizerFit, FindsCompletelyUnknownAngles) {
   const std::vector<double> angles{13, 171, 60, 95, 31, 128}, gains(6, 1.0);
   EXPECT_LT(worst_product_error(fit(PolarizerScene(true), angles, gains, {}), angles, gains), 1e-3);
 }
 
-TEST(PolarizerFit, RestsOnNominalValuesWhereImagesCannotTell) {
+TEST(PolarizerFit, UncertaintyOfTheCommonTurnIsThatOfTheNominalAngles) {
   const PolarizerFit found = fit(PolarizerScene(true), nominal_deg, std::vector<double>(6, 1.0), nominal_deg);
   const PolarizerCalibration stated = calibration_without_surface(found, true, true);
   for (std::size_t k = 0; k < 6; ++k) {
-    EXPECT_GT(stated.angles_sigma_deg[k], 2 / std::sqrt(6.0) * 0.99);  // The common turn: the mean of six angles of 2°.
+    // Images leave the common turn free: it is the mean of six nominal angles, each with a sigma of 2°.
+    EXPECT_GT(stated.angles_sigma_deg[k], 2 / std::sqrt(6.0) * 0.99);
     EXPECT_LT(stated.angles_sigma_deg[k], 1.2);
   }
 }
 
-TEST(PolarizerFit, ThreadsDoNotMatter) {
+TEST(PolarizerFit, DoesNotDependOnThreads) {
   const std::vector<double> angles{1, 29, 61, 92, 119, 149}, gains(6, 1.0);
   const PolarizerScene scene;
   EXPECT_EQ(fit(scene, angles, gains, nominal_deg, 1).angles_rad, fit(scene, angles, gains, nominal_deg, 3).angles_rad);
 }
 
-TEST(PolarizerFit, SaysWhatItNeeds) {
+TEST(PolarizerFit, RefusesTooFewImagesAndMismatchedInput) {
   const PolarizerScene scene;
   const auto images = scene.images(radians({0, 45, 90, 135}), {1, 1, 1, 1}, low_noise);
   const Mask mask(scene.size, 1, 255);

@@ -58,7 +58,7 @@ struct PolarizerScene {
     return result;
   }
 
-  /// The fit's result in a frame other than the true one.
+  /// The result of a sinusoid fit, with the Stokes vectors transformed by `frame`.
   PolarizationState state(const StokesFrame& frame) const {
     PolarizationState state;
     state.i_un = state.rho = state.phi = Image<float>(size);

@@ -11,7 +11,7 @@ RadialLimits limits_of(const StokesFrame& frame, bool specular) {
   return radial_limits(phase_cells(scene.state(frame), nullptr, scene.normals, {}), 0, 1.5);
 }
 
-TEST(RadialLimits, RightScalesAreNotDoubted) {
+TEST(RadialLimits, CorrectScalesAreAccepted) {
   for (const bool specular : {false, true}) {
     const RadialLimits limits = limits_of(StokesFrame::Identity(), specular);
     EXPECT_GT(limits.cells, 1000);
@@ -34,7 +34,7 @@ TEST(RadialLimits, DiffusePolarizationAcrossTheSlopeIsOnlyDoubted) {
   EXPECT_NEAR(limits.across_median, 1, 0.02);
 }
 
-TEST(RadialLimits, TheTurnIsTakenOutFirst) {
+TEST(RadialLimits, AKnownTurnIsRemovedFirst) {
   const PolarizerScene scene(true);
   const auto cells = phase_cells(scene.state(turned_scale(30 * degree_rad)), nullptr, scene.normals, {});
   EXPECT_FALSE(radial_limits(cells, 30 * degree_rad, 1.5).is_off_by_quarter());

@@ -30,7 +30,7 @@ TEST(RayFrame, SlopesAndNormalsInvertEachOther) {
 }
 
 TEST(RayFrame, SlopesAreAffineInTheLogDepth) {
-  // A plane n · X = c: ln z = ln c − ln(n · ray).
+  // For a plane n · X = c, ln z = ln c − ln(n · ray).
   const Eigen::Vector3d normal = Eigen::Vector3d(0.3, 0.5, -1).normalized();
   for (const auto& [u, v] : {std::pair{20.0, 30.0}, {600.0, 100.0}, {310.0, 470.0}}) {
     const double dot = normal.dot(frame_camera.ray(u, v));

@@ -13,7 +13,7 @@ namespace {
 constexpr double eta = 1.5;
 const Pinhole cap_camera{{96, 80}, 300, 300, 47, 40};
 
-/// A spherical cap towards the camera (zenith up to about 70°), polarized by Fresnel as `kind` says.
+/// A spherical cap that faces the camera (zenith up to about 70°), polarized by Fresnel's equations as `kind` selects.
 struct Scene {
   PolarizationState state;
   Image<float> normals;
@@ -46,14 +46,15 @@ Scene cap(const std::function<Reflection(int, int)>& kind) {
   return scene;
 }
 
-TEST(Reflection, PriorTellsDiffuseFromSpecularAndPicksTheBranch) {
+TEST(Reflection, PriorDecidesDiffuseOrSpecularAndPicksTheBranch) {
   for (const Reflection kind : {Reflection::diffuse, Reflection::specular}) {
     const Scene scene = cap([&](int, int) { return kind; });
     const auto map = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, {});
     EXPECT_EQ(map.specular_share, kind == Reflection::specular ? 1 : 0);
     EXPECT_EQ(map.clamped_share, 0);
     for (std::size_t i = 0; i < map.zenith.count(); ++i) {
-      // Flat spots: float32 rounding of the degree, at frontal view and at Brewster's angle.
+      // At frontal view and at Brewster's angle the degree hardly changes with the zenith: float32 rounding matters
+      // there.
       const bool flat = scene.zenith[i] < 0.05 || std::abs(scene.zenith[i] - brewster_angle(eta)) < 0.02;
       EXPECT_NEAR(map.zenith[i], scene.zenith[i], flat ? 1e-2 : 1e-4) << i;
     }
@@ -75,7 +76,7 @@ TEST(Reflection, MixedObjectIsDecidedByRegion) {
   EXPECT_EQ(wrong, 0u);
 }
 
-TEST(Reflection, SettingsAndLabelImage) {
+TEST(Reflection, ASettingOrALabelImageDecides) {
   Scene scene = cap([](int, int) { return Reflection::diffuse; });
   scene.state.valid(3, 3) = static_cast<std::uint8_t>(PixelState::saturated);
   ReflectionOptions options;
@@ -99,7 +100,7 @@ TEST(Reflection, SettingsAndLabelImage) {
   EXPECT_THROW(map_reflection(scene.state, nullptr, nullptr, nullptr, options, {}), Error);
 }
 
-TEST(Reflection, WithoutPriorOnlyHighDegreesSpeakForSpecular) {
+TEST(Reflection, WithoutPriorOnlyHighDegreesAreTakenForSpecular) {
   const auto diffuse = cap([](int, int) { return Reflection::diffuse; });
   EXPECT_EQ(map_reflection(diffuse.state, &cap_camera, nullptr, nullptr, {}, {}).specular_share, 0);
   const auto specular = cap([](int, int) { return Reflection::specular; });

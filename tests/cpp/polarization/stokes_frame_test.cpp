@@ -5,7 +5,7 @@
 namespace malus {
 namespace {
 
-TEST(StokesFrame, KeepsTheCone) {
+TEST(StokesFrame, PreservesLorentzProductsAndTurnsPhases) {
   const Eigen::Matrix3d lorentz = Eigen::Vector3d(1, -1, -1).asDiagonal();
   const StokesFrame frame = turned_scale(0.4) * boost(0.03, -0.2) * mirrored_scale();
   EXPECT_LT((frame.transpose() * lorentz * frame - lorentz).norm(), 1e-12);

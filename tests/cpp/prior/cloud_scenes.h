@@ -14,7 +14,7 @@ inline Pinhole test_camera() {
   return {{150, 130}, focal, focal, 75, 65};
 }
 
-/// Points at random pixels of a box, `gsd` behind a wave.
+/// Points at random pixels of a box, `gsd` GSD behind a wavy surface.
 inline void add_wave(PointCloud& cloud, int count, double low, double high, double gsd, unsigned seed) {
   std::mt19937 generator(seed);
   std::uniform_real_distribution<double> share(0, 1);
@@ -27,7 +27,7 @@ inline void add_wave(PointCloud& cloud, int count, double low, double high, doub
   }
 }
 
-/// Surface with some stray points in front of it and a patch behind it.
+/// A surface with a few stray points in front of it and, with `patch`, a hidden patch behind it.
 inline PointCloud cluttered(bool patch) {
   PointCloud cloud;
   add_wave(cloud, 30000, 0, 1, 0, 1);

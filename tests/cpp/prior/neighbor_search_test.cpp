@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-/// In row order; some share a place, and most of the right half is empty.
+/// Points in row order. Some coincide, and the right half has few points.
 std::vector<ViewPoint> points() {
   std::mt19937 generator(3);
   std::uniform_real_distribution<float> u(-0.5F, 99.5F), v(-0.5F, 59.5F);
@@ -24,7 +24,7 @@ std::vector<ViewPoint> points() {
   return points;
 }
 
-/// By comparing all.
+/// The k nearest points by exhaustive search.
 std::vector<std::uint32_t> nearest(const std::vector<ViewPoint>& points, const std::vector<std::uint8_t>& left_out,
                                    std::size_t self, std::size_t k) {
   std::vector<std::pair<float, std::uint32_t>> others;
@@ -51,7 +51,7 @@ void expect_nearest(const std::vector<ViewPoint>& points, const std::vector<std:
     if (!left_out.empty() && left_out[i]) continue;
     search.find(points[i], i, found);
     std::ranges::sort(found.indices);
-    ASSERT_EQ(found.indices, nearest(points, left_out, i, k)) << "of point " << i;
+    ASSERT_EQ(found.indices, nearest(points, left_out, i, k)) << "neighbors of point " << i;
     float farthest = 0;
     for (const std::uint32_t j : found.indices) {
       const float du = points[j].u - points[i].u, dv = points[j].v - points[i].v;
@@ -66,14 +66,14 @@ TEST(NeighborSearch, FindsTheNearestOfDenseAndOfScatteredPoints) {
   expect_nearest(points(), {}, 5, 3);
 }
 
-TEST(NeighborSearch, PassesOverThoseThatAreLeftOut) {
+TEST(NeighborSearch, SkipsPointsThatAreLeftOut) {
   const std::vector<ViewPoint> all = points();
   std::vector<std::uint8_t> left_out(all.size(), 0);
   for (std::size_t i = 0; i < all.size(); i += 3) left_out[i] = 1;
   expect_nearest(all, left_out, 16, 2);
 }
 
-TEST(NeighborSearch, GivesAllOfFewPoints) {
+TEST(NeighborSearch, ReturnsAllPointsIfThereAreFew) {
   const std::vector<ViewPoint> few{ViewPoint::without_normal(3, 0, 0), ViewPoint::without_normal(3, 0, 0),
                                    ViewPoint::without_normal(40, 30, 0)};
   expect_nearest(few, {}, 16, 1);

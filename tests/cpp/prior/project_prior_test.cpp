@@ -92,7 +92,7 @@ TEST(PriorOfCloud, ReproducesNoiselessSurfaces) {
   EXPECT_LT(rms_gsd(project(sample(wavy_depth, 3000, 0)).depth, wavy_depth), 0.1);
 }
 
-TEST(PriorOfCloud, SmoothsNoiseIgnoresOutliersAndKnowsItsError) {
+TEST(PriorOfCloud, SmoothsNoiseIgnoresOutliersAndEstimatesItsError) {
   PointCloud cloud = sample(wavy_depth, 3000, 2);
   add(cloud, sample([](double u, double v) { return wavy_depth(u, v) + 40 * gsd_mm; }, 100, 10, 7));
   PriorOptions options;
@@ -101,7 +101,7 @@ TEST(PriorOfCloud, SmoothsNoiseIgnoresOutliersAndKnowsItsError) {
   const DepthPrior prior = project(cloud, options);
   EXPECT_LT(rms_gsd(prior.depth, wavy_depth), 0.6);
   EXPECT_NEAR(prior.noise / gsd_mm, 2, 0.3);
-  // Errors of neighboring pixels are one error: the mean of their squares scatters by some 10 %.
+  // Errors of neighboring pixels are correlated, so that their mean square scatters by about 10 %.
   double sum = 0;
   for (int v = 0; v < 90; ++v) {
     for (int u = 0; u < 120; ++u) sum += std::pow((prior.depth(u, v) - wavy_depth(u, v)) / prior.sigma(u, v), 2);
@@ -115,7 +115,7 @@ TEST(PriorOfCloud, NoisierCloudIsSmoothedMore) {
   EXPECT_GT(coarse, 1.3 * fine);
 }
 
-/// Gives every point its surface's normal, turned by a random angle of this spread.
+/// Gives every point the surface's normal, turned by random angles of this standard deviation.
 void add_normals(PointCloud& cloud, const Depth& depth, double spread_rad) {
   const Pinhole camera = test_camera();
   std::mt19937 generator(3);
@@ -135,21 +135,21 @@ void add_normals(PointCloud& cloud, const Depth& depth, double spread_rad) {
   }
 }
 
-TEST(PriorOfCloud, NormalsSharpenIt) {
+TEST(PriorOfCloud, NormalsReduceTheError) {
   PointCloud cloud = sample(wavy_depth, 1500, 2);
   const double without = rms_gsd(project(cloud).depth, wavy_depth);
   add_normals(cloud, wavy_depth, 0.05);
   EXPECT_LT(rms_gsd(project(cloud).depth, wavy_depth), 0.6 * without);
 }
 
-TEST(PriorOfCloud, NormalsThatAreWrongAreNotBelieved) {
+TEST(PriorOfCloud, WrongNormalsDoLittleHarm) {
   PointCloud cloud = sample(wavy_depth, 1500, 2);
   const double without = rms_gsd(project(cloud).depth, wavy_depth);
   add_normals(cloud, wavy_depth, 0.5);
   EXPECT_LT(rms_gsd(project(cloud).depth, wavy_depth), 1.2 * without);
 }
 
-/// Depth with a round plateau 14 GSD nearer in the middle, whose edge is steep.
+/// Depth with a round, steep-edged plateau in the middle, 14 GSD nearer.
 Depth with_plateau(const Depth& depth) {
   return [depth](double u, double v) {
     return depth(u, v) - 7 * gsd_mm * (1 + std::tanh((18 - std::hypot(u - 60, v - 44)) / 0.5));
@@ -157,7 +157,8 @@ Depth with_plateau(const Depth& depth) {
 }
 
 TEST(PriorOfCloud, KeepsAPartThatStandsOut) {
-  // The points' normals do not tell of the step, and stray points are as far in front of it.
+  // The points' normals do not show the step, and stray points lie as far in front of the surface as the plateau is
+  // high.
   const Depth surface = with_plateau(plane_depth);
   PointCloud cloud = sample(surface, 3000, 1);
   add_normals(cloud, surface, 0.1);
@@ -170,8 +171,8 @@ TEST(PriorOfCloud, KeepsAPartThatStandsOut) {
   EXPECT_LT(rms_gsd(depth, surface, [&](int u, int v) { return from_edge(u, v) > 5; }), 1);
 }
 
-TEST(PriorOfCloud, NormalsDoNotCarryAStepFarAround) {
-  // A ring 16 GSD high; normals say well how the ground lies, and nothing of the ring's walls.
+TEST(PriorOfCloud, NormalsDoNotSpreadAStepOverItsSurroundings) {
+  // A ring 16 GSD high. Normals determine the slope of the ground well, but give no information about the ring's walls.
   const auto from_middle = [](double u, double v) { return std::hypot(u - 60, v - 44); };
   const Depth surface = [&](double u, double v) {
     const double r = from_middle(u, v);
@@ -187,8 +188,8 @@ TEST(PriorOfCloud, NormalsDoNotCarryAStepFarAround) {
   EXPECT_LT(ring, 0.54);
 }
 
-TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
-  // A sphere to 80° from its middle, whose points are uncertain by as much in every direction.
+TEST(PriorOfCloud, ErrorsOfSteepPointsAreMeasuredAcrossTheSurface) {
+  // A sphere up to 80° from its center, with points of the same uncertainty in every direction.
   constexpr double radius_px = 44;
   const Depth sphere = [](double u, double v) {
     const double r2 = ((u - 60) * (u - 60) + (v - 44) * (v - 44)) / (radius_px * radius_px);
@@ -208,7 +209,7 @@ TEST(PriorOfCloud, SteepPointsCountByTheirDistanceFromTheSurface) {
   std::mt19937 generator(5);
   std::normal_distribution<double> noise(0, 1.0 * gsd_mm);
   for (Eigen::Vector3d& x : cloud.points) x += Eigen::Vector3d(noise(generator), noise(generator), noise(generator));
-  // Across the surface, so that the rim counts like the middle.
+  // Errors across the surface, so that the rim has the same weight as the middle.
   double sum = 0, count = 0;
   const DepthPrior prior = project(cloud, {}, mask);
   for (int v = 0; v < mask.height(); ++v) {
@@ -234,7 +235,7 @@ TEST(PriorOfCloud, SigmaGrowsAwayFromThePoints) {
   EXPECT_NEAR(prior.filled_fraction, 0.4, 0.05);
 }
 
-TEST(PriorOfCloud, TakesAStatedSigmaAndDoubtsOneThatThePointsContradict) {
+TEST(PriorOfCloud, UsesAStatedSigmaAndWarnsIfThePointsContradictIt) {
   const PointCloud cloud = sample(wavy_depth, 2000, 1);
   std::string warning;
   Context context;
@@ -268,7 +269,7 @@ TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
                 [](const Eigen::Vector3d& x) { return test_camera().project(test_pose().cam_from_world(x)).x() > 60; });
   add(cloud, nearer);
   const DepthPrior prior = project(cloud);
-  // Away from the edge, over which the surfaces are 160 GSD apart.
+  // Only pixels away from the edge, where the two surfaces are 160 GSD apart.
   EXPECT_LT(rms_gsd(prior.depth, front, [&](int u, int v) { return is_front(u + 12, v); }), 1);
   EXPECT_LT(rms_gsd(prior.depth, back, [&](int u, int v) { return !is_front(u - 12, v); }), 1);
   EXPECT_NEAR(prior.points_used / prior.points_total, 0.75, 0.03);
@@ -286,7 +287,7 @@ TEST(PriorOfCloud, PointsFacingAwayAreLeftOut) {
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.1);
 }
 
-TEST(PriorOfCloud, SaysThatNormalsPointInwards) {
+TEST(PriorOfCloud, ReportsNormalsThatPointInwards) {
   PointCloud cloud = sample(plane_depth, 500, 0.1);
   cloud.normals.assign(cloud.points.size(),
                        (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
@@ -338,7 +339,7 @@ TEST(PriorOfCloud, StopsWhenCancelled) {
   expect_error(ErrorCode::interrupted, [&] { project(sample(plane_depth, 500, 0), {}, full_mask(), context); });
 }
 
-TEST(PriorOfCloud, SaysWhereThePointsFellWhenTheyMissTheObject) {
+TEST(PriorOfCloud, ReportsWherePointsThatMissTheObjectLie) {
   PointCloud cloud;
   for (int i = 0; i < 7; ++i) cloud.points.push_back(test_pose().world_from_cam({0, 0, -10}));
   for (int i = 0; i < 5; ++i) cloud.points.push_back(test_pose().world_from_cam({1000, 0, 100}));
@@ -374,7 +375,7 @@ TEST(PriorOfCloud, RejectsUnusableInput) {
   expect_error(ErrorCode::input, [&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); });
 }
 
-/// Two triangles that show the tilted plane on columns [u0, u1] and all rows, `nearer` times as far away.
+/// Two triangles that show the tilted plane in columns [u0, u1] and all rows, its depth multiplied by `nearer`.
 TriangleMesh plane_mesh(double u0, double u1, double nearer) {
   TriangleMesh mesh;
   for (const auto& [u, v] : {std::pair(u0, -5.0), std::pair(u1, -5.0), std::pair(u0, 95.0), std::pair(u1, 95.0)}) {
@@ -384,7 +385,7 @@ TriangleMesh plane_mesh(double u0, double u1, double nearer) {
   return mesh;
 }
 
-TEST(PriorOfMesh, IsExactInPerspectiveAndNearestWins) {
+TEST(PriorOfMesh, IsExactInPerspectiveAndTakesTheNearestTriangle) {
   TriangleMesh mesh = plane_mesh(-5, 125, 1);
   const TriangleMesh nearer = plane_mesh(80.5, 125, 0.9);
   mesh.vertices.points.insert(mesh.vertices.points.end(), nearer.vertices.points.begin(), nearer.vertices.points.end());
@@ -395,21 +396,21 @@ TEST(PriorOfMesh, IsExactInPerspectiveAndNearestWins) {
   EXPECT_EQ(prior.filled_fraction, 0);
 }
 
-TEST(PriorOfMesh, KnowsItsNoiseAsACloudDoes) {
+TEST(PriorOfMesh, HasTheAssumedOrTheStatedNoise) {
   PriorOptions options;
   options.raster_sigma_gsd = 3;
   const DepthPrior assumed = project(plane_mesh(-5, 125, 1), options);
   const double gsd = assumed.depth(60, 45) / focal;
   EXPECT_NEAR(assumed.sigma(60, 45), 3 * gsd, 1e-5);
-  EXPECT_NEAR(assumed.noise, 3 * gsd, 0.1 * gsd) << "of the middle pixel";
-  EXPECT_GT(assumed.spacing_px, 1) << "neighboring pixels share their errors";
+  EXPECT_NEAR(assumed.noise, 3 * gsd, 0.1 * gsd) << "the noise of the middle pixel";
+  EXPECT_GT(assumed.spacing_px, 1) << "errors of neighboring pixels are correlated";
   options.sigma = 0.7;
   const DepthPrior stated = project(plane_mesh(-5, 125, 1), options);
   EXPECT_FLOAT_EQ(static_cast<float>(stated.noise), 0.7F);
   for (const float sigma : stated.sigma) ASSERT_EQ(sigma, 0.7F);
 }
 
-TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
+TEST(PriorOfMesh, RejectsInvalidIndicesAndAMeshOutsideTheView) {
   TriangleMesh mesh = plane_mesh(-5, 125, 1);
   mesh.triangles.push_back({0, 1, 9});
   expect_error(
@@ -417,7 +418,7 @@ TEST(PriorOfMesh, RejectsWildIndicesAndAMissedView) {
   expect_error(ErrorCode::data, [&] { project(plane_mesh(500, 600, 1)); });
 }
 
-/// World point that a prior has at a pixel.
+/// World point of the prior at a pixel.
 Eigen::Vector3d world_point(const DepthPrior& prior, int u, int v) {
   return prior.pose.world_from_cam(prior.depth(u, v) * test_camera().ray(u, v));
 }
@@ -435,11 +436,11 @@ TEST(PriorOfShape, IsThePlaneSphereOrCylinder) {
     EXPECT_NEAR((world_point(of_plane, u, v) - center).dot(plane.normal.normalized()), 0, 1e-3);
     EXPECT_NEAR((world_point(of_sphere, u, v) - center).norm(), 120, 1e-3);
     EXPECT_NEAR((world_point(of_cylinder, u, v) - center).cross(axis.normalized()).norm(), 110, 1e-3);
-    EXPECT_LT(of_sphere.depth(u, v), 500) << "its near side";
+    EXPECT_LT(of_sphere.depth(u, v), 500) << "the near side of the sphere";
     EXPECT_LT(of_cylinder.depth(u, v), 500);
   }
   EXPECT_EQ(of_sphere.sigma(60, 44), 0.3F);
-  EXPECT_EQ(of_sphere.noise, 0) << "how far the object is from it averages out nowhere";
+  EXPECT_EQ(of_sphere.noise, 0) << "the deviation of the object from the shape does not average out";
   EXPECT_EQ(of_sphere.filled_fraction, 0);
 }
 
@@ -447,7 +448,7 @@ TEST(PriorOfShape, IsSeenFromInsideAndFilledBesideIt) {
   const Eigen::Vector3d eye = test_pose().centre();
   const DepthPrior inside = project(Shape(SphereShape{eye, 200}));
   EXPECT_NEAR((world_point(inside, 30, 70) - eye).norm(), 200, 1e-3);
-  // It covers the image's middle only.
+  // A sphere that covers only the middle of the image.
   const DepthPrior small = project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 15}));
   EXPECT_GT(small.filled_fraction, 0.5);
   for (const float depth : small.depth) ASSERT_TRUE(std::isfinite(depth));
@@ -483,8 +484,8 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
 }
 
-TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
-  // Noise that neighbors share, as windows of 5 px leave it, and gaps.
+TEST(PriorOfDepthMap, SmoothsDepthsThatWereMeasuredOverWindows) {
+  // Noise that is correlated over windows of 5 px, and gaps.
   const Size size = test_camera().size;
   std::mt19937 generator(4);
   std::normal_distribution<double> normal(0, 5 * gsd_mm);
@@ -504,7 +505,7 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   EXPECT_NEAR(before, 1, 0.1);
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.5 * before);
   EXPECT_GE(prior.sigma(5, 5), sigma(5, 5));
-  // Five pixels into the hole of a radius of six, with a standard slope of 1.
+  // (50, 40) is the center of a hole of radius 6, about five pixels from the nearest depth; the standard slope is 1.
   EXPECT_GT(prior.sigma(50, 40), 5 * gsd_mm);
   EXPECT_LT(prior.sigma(50, 40), 8 * gsd_mm);
   expect_error(
@@ -519,9 +520,9 @@ TEST(PriorOfDepthMap, SmoothsWhatWasMeasuredOverWindows) {
   });
 }
 
-TEST(PriorOfDepthMap, HasNoFinerCellsThanItsPointsTell) {
-  // Without noise hardly anything is smoothed, and cells of a pixel would be 10 800 unknowns: tiles, one after the
-  // other.
+TEST(PriorOfDepthMap, UsesNoFinerCellsThanItsPointsSupport) {
+  // Without noise there is hardly any smoothing. Cells of one pixel would mean 10 800 unknowns, which would have to be
+  // solved in tiles.
   const Size size = test_camera().size;
   Image<float> depth(size), sigma(size, 1, static_cast<float>(0.1 * gsd_mm));
   for (int v = 0; v < size.height; ++v) {
@@ -538,8 +539,8 @@ TEST(PriorOfDepthMap, HasNoFinerCellsThanItsPointsTell) {
   EXPECT_LT(rms_gsd(prior.depth, wavy_depth), 0.1);
 }
 
-TEST(PriorOfDepthMap, GoesOnAsTheShapeItWasMeasuredAbout) {
-  // A bulge that stereo did not see, and a tilt that the shape has wrong.
+TEST(PriorOfDepthMap, FillsHolesWithTheShapeItWasMeasuredAbout) {
+  // A bulge where stereo has no depth, and a shape with a wrong tilt.
   const auto bulge = [](double u, double v) { return -6 * gsd_mm * std::exp(-(std::hypot(u - 50, v - 40) / 8)); };
   const auto truth = [&](double u, double v) { return plane_depth(u, v) + bulge(u, v); };
   const Size size = test_camera().size;

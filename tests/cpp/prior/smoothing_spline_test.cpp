@@ -40,7 +40,7 @@ Eigen::Vector2d wave_slope(double u, double v) {
   return {2.0 / 3 * std::cos(u / 3), -0.5 * std::sin(v / 2)};
 }
 
-/// The points with the slopes of `wave`, known as well along u as along v, and across a little.
+/// The points with the slopes of `wave`, equally accurate along u and v and slightly correlated.
 std::vector<ViewPoint> with_slopes(std::vector<ViewPoint> points) {
   for (ViewPoint& p : points) {
     const Eigen::Vector2d slope = wave_slope(p.u, p.v);
@@ -54,8 +54,8 @@ std::vector<ViewPoint> with_slopes(std::vector<ViewPoint> points) {
 }
 
 TEST(SmoothingSpline, PenalizedResidualIsTheMinimum) {
-  // At the minimum Σ weight · datum · residual equals the cost, whose derivative by ln λ² is λ² times the bending
-  // energy.
+  // At the minimum, Σ weight · datum · residual equals the cost. The derivative of the cost by ln λ² is λ² times the
+  // bending energy.
   constexpr double kappa = 3;
   SmoothingSpline spline(Mask({31, 31}, 1, 1), {0, 0, 31, 31}, 2, 1e9, with_slopes(scattered(wave)), {});
   const auto cost = [&](double lambda) {
@@ -72,7 +72,7 @@ TEST(SmoothingSpline, PenalizedResidualIsTheMinimum) {
   EXPECT_NEAR(at, squares + slope, 1e-3 * at);
 }
 
-TEST(SmoothingSpline, SlopesShapeTheSurfaceWhereHeightsSayLittle) {
+TEST(SmoothingSpline, SlopesShapeTheSurfaceWhereHeightsHaveLittleWeight) {
   std::vector<ViewPoint> points = with_slopes(scattered(wave));
   for (ViewPoint& p : points) p.height = 0;
   SmoothingSpline spline(Mask({31, 31}, 1, 1), {0, 0, 31, 31}, 1, 1e9, points, {});
@@ -83,7 +83,7 @@ TEST(SmoothingSpline, SlopesShapeTheSurfaceWhereHeightsSayLittle) {
   }
 }
 
-TEST(SmoothingSpline, RowsMatchPointsOfEvaluation) {
+TEST(SmoothingSpline, EvaluatingARowMatchesEvaluatingItsPoints) {
   Mask mask({31, 31}, 1, 1);
   for (int v = 0; v < 31; ++v) mask(0, v) = 0;
   const auto wave = [](double u, double v) { return std::sin(u / 3) + std::cos(v / 2); };

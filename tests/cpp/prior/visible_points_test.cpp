@@ -32,7 +32,7 @@ TEST(VisiblePoints, AreTheSameWithMoreThreads) {
   }
 }
 
-TEST(VisiblePoints, HiddenPointsHaveNoSayOnTheOthers) {
+TEST(VisiblePoints, HiddenPointsDoNotAffectTheVisibleOnes) {
   const VisiblePoints with = visible(cluttered(true), 1), without = visible(cluttered(false), 1);
   EXPECT_EQ(with.census.hidden, 1500U);
   EXPECT_EQ(without.census.hidden, 0U);
@@ -47,7 +47,7 @@ TEST(VisiblePoints, HiddenPointsHaveNoSayOnTheOthers) {
 }
 
 TEST(VisiblePoints, SpacingIsThatOfTheNearestNeighbors) {
-  // One point a pixel in the dense half, few in the other: neighbors are near and far.
+  // A dense and a sparse set of points.
   PointCloud cloud;
   add_wave(cloud, 3000, 0, 0.5, 0, 4);
   add_wave(cloud, 60, 0.5, 1, 0, 5);

@@ -2,13 +2,15 @@
 
 #include <gtest/gtest.h>
 
+#include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
+#include "io/temporary_folder.h"
 #include "thrown_error.h"
 
 namespace malus {
 namespace {
 
-/// Looks along z at a prior that known distances make twice as large.
+/// A station that looks along z. Known distances scale its prior by 2.
 Station scaled_station() {
   Station station;
   constexpr Size size{40, 30};
@@ -21,7 +23,7 @@ Station scaled_station() {
   return station;
 }
 
-/// Fills the view at depth 100.
+/// A cloud that fills the view at depth 100.
 PointCloud cloud_of(const Station& station) {
   PointCloud cloud;
   const Pinhole pinhole = station.file.camera->lens.pinhole();
@@ -30,7 +32,7 @@ PointCloud cloud_of(const Station& station) {
   return cloud;
 }
 
-TEST(CheckPicture, ShowsThePriorAsKnownDistancesMakeIt) {
+TEST(CheckPicture, ShowsThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   const std::vector<PriorSource> sources{cloud_of(station), Image<float>({40, 30}, 1, 100.0F),
                                          Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}})};
@@ -42,7 +44,7 @@ TEST(CheckPicture, ShowsThePriorAsKnownDistancesMakeIt) {
   }
 }
 
-TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
+TEST(CheckStation, MeasuresThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
   const Plan plan = check_station(station, {}, {});
@@ -52,20 +54,39 @@ TEST(CheckStation, MeasuresThePriorAsKnownDistancesMakeIt) {
   expect_contains(does, "200 mm from the camera");
 }
 
-TEST(CheckStation, ExpectsThatAPriorFromPhotosIsSmoothedAsACloudIs) {
+TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
+  const TemporaryFolder folder;
+  Station station = scaled_station();
+  write_float_tiff(folder / "small.tif", Image<float>({20, 30}, 1, 100.0F));
+  write_float_tiff(folder / "depth.tif", Image<float>({40, 30}, 1, 100.0F));
+  write_png(folder / "labels.png", Image<std::uint8_t>({40, 30}, 1, std::uint8_t{255}));
+  station.prior = DepthFile{folder / "missing.tif"};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "missing.tif");
+  station.prior = DepthFile{folder / "small.tif"};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "prior depth map");
+  station.prior = DepthFile{folder / "depth.tif"};
+  check_station(station, {}, {});
+  station.file.optics.label_image = folder / "labels.png";
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
+}
+
+TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
   const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
   station.prior = cloud_of(station);
   const double of_cloud = of_prior();
   station.prior = {};
   station.file.photos.emplace();
-  EXPECT_GT(of_prior(), of_cloud) << "its points hardly scatter";
+  EXPECT_GT(of_prior(), of_cloud) << "points from photos scatter little, so that smoothing takes finer cells";
 }
 
-TEST(CheckStation, ADistanceThatIsMetIsOffByNothing) {
+TEST(CheckStation, ADistanceMetUpToRoundingIsOffByZero) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
-  station.file.scale_errors = {3.6e-15};  // what rounding leaves
+  station.file.scale_errors = {3.6e-15};  // a rounding error
   std::string does;
   for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
   expect_contains(does, "they are then off by 0 mm");

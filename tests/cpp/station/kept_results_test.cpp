@@ -24,7 +24,7 @@ Image<std::uint8_t> labels(std::uint8_t value) {
 const Pinhole camera{{5, 3}, 100.25, 101, 2.5, 1.125};
 const Pose pose{Eigen::AngleAxisd(0.3, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix(), {1, -2, 0.1}};
 
-/// What a workspace holds of one result.
+/// Record and files that a workspace keeps of one result.
 struct Kept {
   Workspace::Record record;
   std::map<std::string, std::string> files;
@@ -42,7 +42,7 @@ Kept kept(T& result) {
     kept.files[name] = read_file(folder / name, "file");
     kept.record.outputs.push_back({name, 0, ""});
   }
-  // As the manifest has them: as text, keys sorted.
+  // As in the manifest: written as text, with sorted keys.
   kept.record.notes = Json(nlohmann::json::parse(nlohmann::json(notes).dump()));
   return kept;
 }
@@ -57,7 +57,7 @@ T read_back(const Kept& kept, const std::shared_ptr<const void>& other = nullptr
   return result;
 }
 
-/// The result after a time in a workspace, which must leave the same there once more.
+/// Keeps the result in a workspace and reads it back. Keeping the copy must give the same files and notes.
 template <class T>
 T expect_kept(T result, const std::shared_ptr<const void>& other = nullptr) {
   const Kept first = kept(result);
@@ -96,7 +96,7 @@ MeasuredPolarization measured() {
   return {std::make_shared<PolarizationState>(state()), fit, true, {{3, 2, {0, 45.5}, {0.1, 0.2}}}};
 }
 
-TEST(KeptResults, MeasuredPolarization) {
+TEST(KeptResults, MeasuredPolarizationIsReadBackUnchanged) {
   const MeasuredPolarization back = expect_kept(measured());
   EXPECT_EQ(back.state->weighting, FitWeighting::noise);
   EXPECT_EQ(back.state->i_un, state().i_un);
@@ -111,10 +111,10 @@ TEST(KeptResults, MeasuredPolarization) {
   EXPECT_EQ(expect_kept(MeasuredPolarization{interpolated, {}, false}).state->variance_factor, raster(2));
 }
 
-TEST(KeptResults, CalibratedPolarizationHasTheRestFromTheMeasuredOne) {
+TEST(KeptResults, CalibratedPolarizationSharesUnchangedRastersWithTheMeasuredOne) {
   const auto from = std::make_shared<MeasuredPolarization>(measured());
   CalibratedPolarization as_measured{from->state, {}};
-  EXPECT_EQ(expect_kept(as_measured, from).state, from->state) << "nothing corrected, nothing copied";
+  EXPECT_EQ(expect_kept(as_measured, from).state, from->state) << "without a correction nothing is copied";
 
   auto turned = std::make_shared<PolarizationState>(state());
   turned->phi = raster(0.5F);
@@ -128,10 +128,10 @@ TEST(KeptResults, CalibratedPolarizationHasTheRestFromTheMeasuredOne) {
   EXPECT_EQ(back.state->valid, from->state->valid);
   EXPECT_EQ(back.state->noise.read_noise_e, 6.5);
   EXPECT_EQ(back.state->weighting, FitWeighting::noise);
-  EXPECT_EQ(from->state->phi, state().phi) << "as it was";
+  EXPECT_EQ(from->state->phi, state().phi) << "the measured phase is unchanged";
 }
 
-TEST(KeptResults, ViewColorAndScene) {
+TEST(KeptResults, ViewColorAndSceneAreReadBackUnchanged) {
   const StationView view = expect_kept(StationView{camera, {0, 0.5, nan}});
   EXPECT_EQ(view.camera.size, camera.size);
   EXPECT_EQ(view.camera.cy, camera.cy);
@@ -141,7 +141,7 @@ TEST(KeptResults, ViewColorAndScene) {
   EXPECT_EQ(expect_kept(Scene{raster(4)}).image, raster(4));
 }
 
-TEST(KeptResults, InputEvidenceIsItsFindings) {
+TEST(KeptResults, InputEvidenceKeepsItsFindings) {
   const InputEvidence back =
       expect_kept(InputEvidence{{{"misfits", Severity::caution, "many", "look", {{"misfit_fraction", 0.25}}}}});
   ASSERT_EQ(back.findings.size(), 1u);
@@ -149,9 +149,9 @@ TEST(KeptResults, InputEvidenceIsItsFindings) {
   EXPECT_EQ(back.findings[0].figures[0].second, 0.25);
 }
 
-TEST(KeptResults, Surfaces) {
+TEST(KeptResults, SurfacesAreReadBackUnchanged) {
   const DepthPrior prior = expect_kept(DepthPrior{raster(500), raster(1), camera, pose, 10, 9, nan, 3, 4, true, 0.5});
-  EXPECT_EQ(prior.pose.rotation, pose.rotation) << "to the last bit";
+  EXPECT_EQ(prior.pose.rotation, pose.rotation) << "doubles are kept exactly";
   EXPECT_TRUE(prior.shares_windows);
   EXPECT_EQ(prior.filled_fraction, 0.5);
   const ReflectionMap reflection = expect_kept(ReflectionMap{labels(2), raster(0.5F), 1.7, 0.25, 0.125});

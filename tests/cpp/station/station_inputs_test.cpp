@@ -26,7 +26,7 @@ class StationInputsTest : public testing::Test {
   std::optional<std::filesystem::path> reference_;
 };
 
-/// Another value of a field's type.
+/// Sets a field to another value of its type.
 struct Change {
   const TemporaryFolder& folder;
 
@@ -47,7 +47,7 @@ struct Change {
   void operator()(std::vector<std::array<double, 2>>& value) const { value.push_back({1, 2}); }
 };
 
-TEST_F(StationInputsTest, EveryFieldOfASpecCounts) {
+TEST_F(StationInputsTest, EveryFieldOfASpecChangesItsValues) {
   const Station before = station_;
   const Json polarized = json(&StationInputs::polarized), optics = json(&StationInputs::optics);
   PolarizedSpec::fields(before.file.polarized, [&](std::string_view changed, const auto&...) {
@@ -66,21 +66,21 @@ TEST_F(StationInputsTest, EveryFieldOfASpecCounts) {
   });
 }
 
-TEST_F(StationInputsTest, FilesCountByContent) {
+TEST_F(StationInputsTest, FilesAreComparedByContent) {
   station_.file.polarized.mask = folder_ / "mask.png";
   station_.file.polarized.response = (folder_ / "table.txt").string();
   const auto values = of(&StationInputs::polarized);
   EXPECT_EQ(values.hashes.size(), 3u);
-  EXPECT_EQ(values.hashes.at("table.txt"), sha256_of_bytes("table.txt")) << "named as from the station file";
+  EXPECT_EQ(values.hashes.at("table.txt"), sha256_of_bytes("table.txt")) << "the name is relative to the station file";
   for (const char* name : {"a.png", "mask.png", "table.txt"}) {
     folder_.write(name, "other");
     EXPECT_NE(json(&StationInputs::polarized), values.parts) << name;
     folder_.write(name, name);
   }
-  EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "times do not count";
+  EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "modification times do not count";
 }
 
-TEST_F(StationInputsTest, TheModelsFilesAreRecordedButOnlyTheCameraCounts) {
+TEST_F(StationInputsTest, ModelFilesAreRecordedButOnlyTheCameraChangesTheValues) {
   station_.file.camera = CameraSpec{{LensModel::pinhole, {4, 3}, {5, 5, 2, 1}}, {}};
   station_.file.camera_files = {folder_ / "a.png"};
   const auto values = of(&StationInputs::camera);
@@ -91,7 +91,7 @@ TEST_F(StationInputsTest, TheModelsFilesAreRecordedButOnlyTheCameraCounts) {
   EXPECT_NE(json(&StationInputs::camera), values.parts);
 }
 
-TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryCounts) {
+TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryChangesItsValues) {
   PointCloud cloud;
   cloud.points = {{1, 2, 3}};
   cloud.normals = {{0, 0, 1}};
@@ -107,7 +107,7 @@ TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryCounts) {
   station_.prior = cloud;
   EXPECT_NE(json(&StationInputs::prior), values.parts);
 
-  // The same bytes as another raster.
+  // The same bytes as a raster of another shape.
   station_.prior = Image<float>({2, 3}, 1, 1.0F);
   const Json upright = json(&StationInputs::prior);
   station_.prior = Image<float>({3, 2}, 1, 1.0F);
@@ -118,7 +118,7 @@ TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryCounts) {
   EXPECT_NE(json(&StationInputs::prior), swept);
 }
 
-TEST_F(StationInputsTest, ChangedFilesAreFoundAgain) {
+TEST_F(StationInputsTest, FilesThatChangeDuringARunAreRefused) {
   station_.prior = CloudFile{folder_ / "cloud.ply"};
   StationInputs inputs(station_, reference_, context_);
   const auto values = inputs.of({&StationInputs::prior});
@@ -128,7 +128,7 @@ TEST_F(StationInputsTest, ChangedFilesAreFoundAgain) {
       ErrorCode::input, [&] { inputs.require_unchanged(values); }, "cloud.ply", "was changed while it was read");
 }
 
-TEST_F(StationInputsTest, NamesOfControlPointsOnlyCountForWhatIsTold) {
+TEST_F(StationInputsTest, NamesOfControlPointsChangeOnlyTheValuesOfRegions) {
   station_.file.control = {{"A", {1, 2, 3}, std::array{4.0, 5.0}, {}, true}};
   const Json prior = json(&StationInputs::prior), regions = json(&StationInputs::regions);
   station_.file.control[0].name = "B";
@@ -136,7 +136,7 @@ TEST_F(StationInputsTest, NamesOfControlPointsOnlyCountForWhatIsTold) {
   EXPECT_NE(json(&StationInputs::regions), regions);
 }
 
-TEST_F(StationInputsTest, TheReferenceAndTheFrontEndCountForTheComparison) {
+TEST_F(StationInputsTest, ReferenceAndPhotogrammetryChangeTheValuesOfTheComparison) {
   const Json before = json(&StationInputs::comparison);
   reference_ = folder_ / "cloud.ply";
   const auto with_reference = of(&StationInputs::comparison);

@@ -1,4 +1,4 @@
-// Runs a table of small steps of its own: what the runner does follows from a table's rows alone.
+// Runs a small table of test steps: the runner's behavior depends only on the rows of its table.
 
 #include <fstream>
 #include <set>
@@ -12,7 +12,7 @@
 
 namespace malus {
 
-/// Results of the table's steps. Reading one back is counted.
+/// Results of the steps in the table. results_read_back counts how often each is read back.
 struct Seed {
   Image<float> map;
   double value = 0;
@@ -128,7 +128,7 @@ class StepRunnerTest : public testing::Test {
   Names ran_, kept_, logged_;
 };
 
-TEST_F(StepRunnerTest, RunsOnceAndReadsBackWhatIsAskedFor) {
+TEST_F(StepRunnerTest, RunsStepsOnceAndReadsBackRequestedResults) {
   const Results first = run();
   EXPECT_EQ(ran_, (Names{"seed", "twice", "side", "sum"}));
   EXPECT_EQ(first.get<Sum>()->value, 9);
@@ -143,7 +143,7 @@ TEST_F(StepRunnerTest, RunsOnceAndReadsBackWhatIsAskedFor) {
 
   run_.keep_maps = false;
   const Results lean = run();
-  EXPECT_TRUE(results_read_back.empty()) << "nothing but the last step's result is needed";
+  EXPECT_TRUE(results_read_back.empty()) << "only the last step's result is needed, and it is not counted";
   EXPECT_EQ(lean.get<Sum>()->value, 9);
   EXPECT_EQ(lean.get<Seed>(), nullptr);
 
@@ -151,10 +151,10 @@ TEST_F(StepRunnerTest, RunsOnceAndReadsBackWhatIsAskedFor) {
   run();
   EXPECT_EQ(ran_, Names{"sum"});
   EXPECT_EQ(results_read_back, (std::multiset<std::string>{"seed", "twice"}))
-      << "each once, for the step that reads it";
+      << "each is read back once, for the step that reads it";
 }
 
-TEST_F(StepRunnerTest, RepeatsWhatDependsOnAChange) {
+TEST_F(StepRunnerTest, RepeatsStepsThatDependOnAChange) {
   run();
   options_.grid.grid_px = 11;
   run();
@@ -165,7 +165,7 @@ TEST_F(StepRunnerTest, RepeatsWhatDependsOnAChange) {
   EXPECT_EQ(ran_.size(), 4u);
 }
 
-TEST_F(StepRunnerTest, StepsThatFollowAreForgottenWithTheirFiles) {
+TEST_F(StepRunnerTest, LaterStepsAreForgottenWithTheirFiles) {
   run();
   folder_.write("work/page.html", "page");
   {
@@ -183,7 +183,7 @@ TEST_F(StepRunnerTest, StepsThatFollowAreForgottenWithTheirFiles) {
   EXPECT_TRUE(exists("twice.txt"));
 }
 
-TEST_F(StepRunnerTest, ARunThatDiedLeavesNothingThatLooksDone) {
+TEST_F(StepRunnerTest, AFailedRunLeavesNoFinishedStep) {
   run();
   folder_.write("seed.txt", "not a number");
   EXPECT_ANY_THROW(run());
@@ -192,7 +192,7 @@ TEST_F(StepRunnerTest, ARunThatDiedLeavesNothingThatLooksDone) {
   EXPECT_FALSE(exists("seed/map.tif"));
 }
 
-TEST_F(StepRunnerTest, WarningsAreRecordedRepeatedAndReadByTheLast) {
+TEST_F(StepRunnerTest, WarningsAreRecordedRepeatedAndReadByTheLastStep) {
   folder_.write("seed.txt", "-1");
   options_.grid.grid_px = 7;
   station_.photogrammetry = Photogrammetry{"{}", R"({"photos": {"seconds": 5}})", {"photos: blurred"}};
@@ -205,13 +205,13 @@ TEST_F(StepRunnerTest, WarningsAreRecordedRepeatedAndReadByTheLast) {
 
   EXPECT_EQ(run().get<Sum>()->warnings, expected);
   EXPECT_TRUE(ran_.empty());
-  EXPECT_EQ(logged_, (Names{"the seed is below zero", "seven"})) << "repeated when kept";
+  EXPECT_EQ(logged_, (Names{"the seed is below zero", "seven"})) << "warnings of kept steps are repeated";
   station_.photogrammetry->warnings.clear();
   run();
-  EXPECT_EQ(ran_, Names{"sum"}) << "it says what warnings there were";
+  EXPECT_EQ(ran_, Names{"sum"}) << "the sum step reads the warnings";
 }
 
-TEST_F(StepRunnerTest, AFileThatWasChangedIsSaidAndMadeAgain) {
+TEST_F(StepRunnerTest, AChangedFileIsReportedAndMadeAgain) {
   run();
   const std::string before = read_file(work_ / "seed/map.tif", "map");
   std::string flipped = before;
@@ -222,7 +222,7 @@ TEST_F(StepRunnerTest, AFileThatWasChangedIsSaidAndMadeAgain) {
   ASSERT_EQ(logged_.size(), 1u);
   EXPECT_NE(logged_[0].find("map.tif is not as the step seed left it"), std::string::npos) << logged_[0];
   EXPECT_EQ(read_file(work_ / "seed/map.tif", "map"), before);
-  EXPECT_TRUE(manifest()["warnings"].empty()) << "it says nothing of the result";
+  EXPECT_TRUE(manifest()["warnings"].empty()) << "a changed file is no warning about the result";
 
   nlohmann::json edited = nlohmann::json::parse(read_file(work_ / "manifest.json", "manifest"));
   edited["steps"]["twice"]["notes"]["twice"] = 1000;
@@ -240,12 +240,12 @@ TEST_F(StepRunnerTest, AnInputThatChangesWhileItIsReadLeavesNothing) {
   EXPECT_EQ(run().get<Seed>()->value, 5);
 }
 
-TEST_F(StepRunnerTest, FilesOfAnEarlierRunAreNotRead) {
+TEST_F(StepRunnerTest, OptionalFilesOfAnEarlierRunAreRemoved) {
   run();
   folder_.write("work/never.txt", "left by another version");
   folder_.write("seed.txt", "4");
   run();
-  EXPECT_FALSE(exists("never.txt")) << "what a step may leave is removed before it is run";
+  EXPECT_FALSE(exists("never.txt")) << "optional files of a step are removed before the step is run";
 }
 
 TEST_F(StepRunnerTest, OptionalResultsAreReadIfTheRunHasThem) {
@@ -257,7 +257,7 @@ TEST_F(StepRunnerTest, OptionalResultsAreReadIfTheRunHasThem) {
   EXPECT_EQ(ran_, Names{"twice"});
 }
 
-TEST_F(StepRunnerTest, InMemoryNothingIsWrittenAndKnownResultsAreTaken) {
+TEST_F(StepRunnerTest, ARunInMemoryWritesNothingAndUsesKnownResults) {
   run_.workspace.reset();
   const Results first = run("twice");
   EXPECT_EQ(ran_, (Names{"seed", "twice"}));
@@ -284,14 +284,14 @@ TEST_F(StepRunnerTest, ResultsInMemoryAreWrittenWithTheirWarnings) {
   EXPECT_EQ(second.get<Seed>(), first.get<Seed>());
   EXPECT_EQ(second.warnings, first.warnings);
   EXPECT_EQ(logged_, Names{"the seed is below zero"});
-  EXPECT_TRUE(exists("side.txt")) << "what is no result is made";
+  EXPECT_TRUE(exists("side.txt")) << "files of a step without a result are made";
   run_.known = nullptr;
   run();
   EXPECT_EQ(kept_, (Names{"seed", "twice", "side", "sum"}));
-  EXPECT_EQ(logged_, Names{"the seed is below zero"}) << "recorded with the step";
+  EXPECT_EQ(logged_, Names{"the seed is below zero"}) << "the warning is recorded with its step";
 }
 
-TEST_F(StepRunnerTest, ResultsAreLetGoOnceNoLaterStepReadsThem) {
+TEST_F(StepRunnerTest, ResultsAreReleasedOnceNoLaterStepReadsThem) {
   struct Steps {
     static Seed first(const Job&) { return {Image<float>({1, 1}), 1}; }
     static Twice second(const Job&, const Seed&) { return {2}; }
@@ -322,7 +322,7 @@ TEST_F(StepRunnerTest, ResultsAreLetGoOnceNoLaterStepReadsThem) {
   }
 }
 
-TEST_F(StepRunnerTest, WhatIsWrongWithTheStationIsSaidByEveryRun) {
+TEST_F(StepRunnerTest, EveryRunRepeatsWarningsAboutTheStation) {
   station_.file.scale_bars.emplace_back().distance = 10;
   station_.file.scale_errors = {1};
   const Names said{"[[scale]] 1: 10 mm known, off by 1 mm"}, prefixed{"station: " + said[0]};
@@ -331,15 +331,15 @@ TEST_F(StepRunnerTest, WhatIsWrongWithTheStationIsSaidByEveryRun) {
   EXPECT_EQ(first.warnings, prefixed);
   EXPECT_EQ(first.get<Sum>()->warnings, prefixed);
   EXPECT_EQ(run().warnings, prefixed);
-  EXPECT_EQ(logged_, said) << "every step is kept";
+  EXPECT_EQ(logged_, said) << "warnings about the station are repeated though every step is kept";
 
   station_.file.scale_errors = {0.01};
   const Results mended = run();
   EXPECT_TRUE(mended.warnings.empty());
-  EXPECT_EQ(ran_, Names{"sum"}) << "which reads the warnings";
+  EXPECT_EQ(ran_, Names{"sum"}) << "the sum step reads the warnings";
 }
 
-TEST_F(StepRunnerTest, TheManifestSaysWhatEveryStepTook) {
+TEST_F(StepRunnerTest, TheManifestRecordsTimeAndMemoryOfEveryStep) {
   run();
   for (const char* name : {"seed", "twice", "side", "sum"}) {
     const Workspace::Json times = manifest()["times"][name];
@@ -352,7 +352,7 @@ TEST_F(StepRunnerTest, TheManifestSaysWhatEveryStepTook) {
   EXPECT_EQ(manifest()["versions"]["malus"], version);
 }
 
-TEST_F(StepRunnerTest, ATableThatDoesNotNameAFileIsFound) {
+TEST_F(StepRunnerTest, AFileMissingInTheTableIsAnError) {
   std::vector<Step> wrong = table();
   wrong[0].leaves = {"other.tif"};
   EXPECT_THROW(

@@ -31,7 +31,7 @@ Options by_grid() {
 
 using Names = std::vector<std::string>;
 
-TEST(StepTable, EveryStepComesAfterThoseItReads) {
+TEST(StepTable, EveryStepComesAfterTheStepsItReads) {
   std::set<std::type_index> made{typeid(Warnings)};
   for (const Step& step : step_table()) {
     for (const Read& read : step.reads) EXPECT_TRUE(made.contains(read.type)) << step.name;
@@ -42,7 +42,7 @@ TEST(StepTable, EveryStepComesAfterThoseItReads) {
   }
 }
 
-TEST(StepTable, NoTwoStepsLeaveOneFile) {
+TEST(StepTable, NoTwoStepsLeaveTheSameFile) {
   std::map<std::string, std::string> owner;
   for (const Step& step : step_table()) {
     for (const std::string& file : files_of(step_table(), step.name))
@@ -50,7 +50,7 @@ TEST(StepTable, NoTwoStepsLeaveOneFile) {
   }
 }
 
-TEST(StepTable, ARunHasWhatItNeeds) {
+TEST(StepTable, ARunHasTheStepsItNeeds) {
   const Options refined;
   EXPECT_EQ(names_of_run(with_prior(), refined),
             (Names{"polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess"}));
@@ -89,7 +89,7 @@ TEST(StepTable, WithoutAPriorThereArePolarizationAndItsHeightOnly) {
   }
 }
 
-TEST(StepTable, StepsThatDoNotExistAreNamedWithThoseThatDo) {
+TEST(StepTable, AnUnknownStepIsNamedWithTheExistingOnes) {
   for (const char* name : {"refine", "report", "Fuse"}) {
     expect_error(
         ErrorCode::input, [&] { describe_run({}, name); }, std::string("step ") + name + " does not exist",

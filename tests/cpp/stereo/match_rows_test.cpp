@@ -18,7 +18,7 @@ std::vector<float> random_values(std::size_t count, unsigned seed, float least =
 }
 
 TEST(MatchRows, SamplesAlongParabolasAndHoldsTheBorder) {
-  // What is linear in x and y is interpolated without error.
+  // An image that is linear in x and y is interpolated without error.
   Image<float> image({50, 40});
   for (int v = 0; v < 40; ++v) {
     for (int u = 0; u < 50; ++u) image(u, v) = 2.0F * static_cast<float>(u) - 3.0F * static_cast<float>(v);
@@ -60,7 +60,7 @@ TEST(MatchRows, WindowLinesAreSumsOverNeighbors) {
   }
 }
 
-TEST(MatchRows, CorrelationSeesNeitherGainNorOffset) {
+TEST(MatchRows, CorrelationDoesNotDependOnGainAndOffset) {
   const std::size_t window = 7, width = 20, stride = width + window - 1;
   for (const float gain : {0.5F, 2.0F, -1.0F}) {
     std::vector<float> lines, mean(width, 0.0F), deviation(width, 0.0F), weight(stride, 1.0F), scratch(stride);
@@ -87,7 +87,7 @@ TEST(MatchRows, CorrelationSeesNeitherGainNorOffset) {
   }
 }
 
-TEST(MatchRows, MeanOfTheBestAndOfFewerViews) {
+TEST(MatchRows, AveragesTheBestViewsOrAllIfThereAreFewer) {
   const std::size_t width = 2;
   std::vector<float> best(2 * width, 0.0F);
   const std::vector<std::vector<float>> views{{0.2F, 0.9F}, {0.8F, 0.0F}, {0.6F, 0.0F}};

@@ -10,7 +10,7 @@ namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// Nothing known in 20 × 16 pixels.
+/// 20 × 16 pixels without any value.
 Image<float> empty() {
   return Image<float>({20, 16}, 1, none);
 }
@@ -27,11 +27,11 @@ int known(const Image<float>& values) {
   return count;
 }
 
-TEST(Regions, SmallOnesAreRemovedAndAStepDividesThem) {
+TEST(Regions, SmallRegionsAreRemovedAndAStepDividesRegions) {
   Image<float> values = empty();
-  fill(values, 1, 1, 5, 5, 1);    // 16
-  fill(values, 5, 5, 8, 8, 1);    // 9, touches the first at a corner only
-  fill(values, 10, 1, 14, 5, 2);  // 16 and 4 beside it, a step higher
+  fill(values, 1, 1, 5, 5, 1);    // 16 pixels
+  fill(values, 5, 5, 8, 8, 1);    // 9 pixels that touch the first region at a corner only
+  fill(values, 10, 1, 14, 5, 2);  // 16 pixels; the next line adds 4 beside them, a step higher
   fill(values, 14, 1, 15, 5, 3);
   remove_small_regions(values, 0.5, 10, {});
   EXPECT_EQ(known(values), 32);
@@ -40,15 +40,15 @@ TEST(Regions, SmallOnesAreRemovedAndAStepDividesThem) {
   EXPECT_EQ(values(13, 2), 2);
 }
 
-TEST(Regions, OfThoseAtTheContourOnlyItsPixelsAreKept) {
+TEST(Regions, RegionsAtTheContourKeepOnlyPixelsOnTheContour) {
   Mask mask({20, 16});
   for (int v = 0; v < 16; ++v) {
     for (int u = 4; u < 20; ++u) mask(u, v) = 1;
   }
   Image<float> values = empty();
-  fill(values, 4, 2, 9, 6, 1);     // reaches the contour, which is column 4
-  fill(values, 9, 2, 11, 6, 3);    // beside it, a step higher
-  fill(values, 15, 8, 20, 16, 1);  // ends where the image ends, which is no contour
+  fill(values, 4, 2, 9, 6, 1);     // reaches the contour in column 4
+  fill(values, 9, 2, 11, 6, 3);    // beside that region, a step higher
+  fill(values, 15, 8, 20, 16, 1);  // ends at the border of the image, which is no contour
   keep_contours(values, 0.5, mask, {});
   for (int v = 2; v < 6; ++v) {
     EXPECT_EQ(values(4, v), 1);
@@ -58,14 +58,15 @@ TEST(Regions, OfThoseAtTheContourOnlyItsPixelsAreKept) {
   EXPECT_EQ(known(values), 4 + 8 + 40);
 }
 
-TEST(Regions, ReachAcrossStripsThatThreadsTake) {
-  // A comb of 60 teeth: columns of 199 pixels that only their lowest row joins, and one tooth that does not reach it.
+TEST(Regions, ExtendAcrossTheStripsOfDifferentThreads) {
+  // A comb of 60 teeth: columns of 199 pixels that only the lowest row joins. One tooth does not reach that row.
   Image<float> values({121, 200}, 1, none);
   for (int u = 0; u < 120; u += 2) fill(values, u, 0, u + 1, 199, 1);
   fill(values, 0, 199, 120, 200, 1);
   values(40, 199) = none;
   values(40, 198) = none;
-  // Without row 198 the tooth at column 40 is alone, and row 199 falls into two combs of 20 and 39 teeth.
+  // The tooth at column 40 ends above row 198 and is a region of its own. Row 199 joins the others to two combs of 20
+  // and 39 teeth.
   Context context;
   context.threads = 3;
   remove_small_regions(values, 0.5, 198, context);

@@ -40,7 +40,7 @@ TEST(SurfaceRaster, SmoothingIsAGaussianOfDifferencesWithinTheLimit) {
       EXPECT_NEAR(wide(15 + i, 15 + j), expected, 1e-6) << i << ' ' << j;
     }
   }
-  // A step of 1 a pixel is beyond a limit of 0.2 a pixel at every distance within the window.
+  // A step of 1 exceeds the limit of 0.2 per pixel at every distance within the window.
   EXPECT_EQ(smoothed(surface, sigma, 0.2, Context()), surface);
 }
 

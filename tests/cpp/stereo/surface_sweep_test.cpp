@@ -24,7 +24,7 @@ struct Errors {
   double completeness = 0, median_gsd = 0, rms_gsd = 0, within_2_sigma = 0;
 };
 
-/// Of the pixels `border` px inside the image.
+/// Errors of the pixels at least `border` px inside the image.
 Errors errors_of(const SweepResult& result, const Image<double>& truth, int border = 6) {
   std::vector<double> errors;
   double squares = 0, covered = 0, pixels = 0;
@@ -68,7 +68,7 @@ TEST(SurfaceSweep, FindsAPlaneThroughDistortedLenses) {
   EXPECT_TRUE(result.halves_compared);
 }
 
-TEST_F(SweepOfBumps, FindsBumpsAndKnowsItsError) {
+TEST_F(SweepOfBumps, FindsBumpsAndEstimatesItsError) {
   const SweepResult result = sweep_surface(scene_->input, scene_->views, test_options(), {});
   const Errors errors = errors_of(result, scene_->truth);
   EXPECT_GT(errors.completeness, 0.99);
@@ -92,7 +92,7 @@ TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
   EXPECT_LT(errors.median_gsd, 0.15);
 }
 
-TEST_F(SweepOfBumps, MeasuresAKnownSurfaceSharperInNoise) {
+TEST_F(SweepOfBumps, AKnownSurfaceReducesTheErrorsInNoise) {
   SweepInput input = scene_->input;
   std::vector<SweepView> views = scene_->views;
   std::mt19937 generator(5);
@@ -117,7 +117,7 @@ TEST_F(SweepOfBumps, MeasuresAKnownSurfaceSharperInNoise) {
   EXPECT_EQ(result.passes.front().reduction, 1);
 }
 
-TEST_F(SweepOfBumps, SearchesAsFarAsAKnownSurfaceIsUncertain) {
+TEST_F(SweepOfBumps, SearchRangeFollowsTheSigmaOfAKnownSurface) {
   SweepInput input = scene_->input;
   input.surface_sigma = Image<float>(station_size, 1, static_cast<float>(12 * gsd_mm));
   input.surface = Image<float>(station_size);
@@ -130,7 +130,7 @@ TEST_F(SweepOfBumps, SearchesAsFarAsAKnownSurfaceIsUncertain) {
   EXPECT_LT(errors_of(result, scene_->truth).median_gsd, 0.3);
 }
 
-TEST_F(SweepOfBumps, RejectsAKnownSurfaceThatSaysNothing) {
+TEST_F(SweepOfBumps, RejectsAKnownSurfaceWithoutDepth) {
   SweepInput input = scene_->input;
   input.surface = input.surface_sigma = Image<float>(station_size);
   expect_error(
@@ -142,7 +142,7 @@ TEST_F(SweepOfBumps, RejectsAKnownSurfaceThatSaysNothing) {
       "standard deviation of the known surface is 3 x 3 pixels");
 }
 
-TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
+TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
   const auto shine = [](Image<float>& image, double u0, double v0) {
     for (int v = 0; v < image.height(); ++v) {
       for (int u = 0; u < image.width(); ++u) {
@@ -154,7 +154,7 @@ TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
   EXPECT_EQ(dull.highlights, 0);
   Scene shining = *scene_;
   shine(shining.input.intensity, 100, 40);
-  shine(shining.views[2].intensity, 60, 90);  // one photo's highlight is the other photos' to outvote
+  shine(shining.views[2].intensity, 60, 90);  // the other photos outvote a highlight in one photo
   const SweepResult result = sweep_surface(shining.input, shining.views, test_options(), {});
   const double area = 3.14159265 * 16 * 16 / static_cast<double>(station_size.area());
   EXPECT_GT(result.highlights, 0.3 * area);
@@ -197,7 +197,7 @@ TEST_F(SweepOfBumps, IsTheSameWithMoreThreads) {
   }
 }
 
-TEST_F(SweepOfBumps, IsNaNOutsideTheMaskAndGoodUpToItsBorder) {
+TEST_F(SweepOfBumps, IsNaNOutsideTheMaskAndAccurateUpToItsBorder) {
   SweepInput input = scene_->input;
   for (int v = 0; v < station_size.height; ++v) {
     for (int u = 0; u < station_size.width; ++u) input.mask(u, v) = std::hypot(u - 80, v - 60) < 40;
@@ -229,7 +229,7 @@ TEST_F(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
   EXPECT_LT(errors.median_gsd, 0.2);
 }
 
-TEST_F(SweepOfBumps, WhatDoesNotMatchHasNoDepthOrALargeSigma) {
+TEST_F(SweepOfBumps, PhotosThatDoNotMatchGiveHardlyAnyDepth) {
   std::vector<SweepView> views = scene_->views;
   unsigned state = 1;
   for (SweepView& view : views) {
@@ -242,7 +242,7 @@ TEST_F(SweepOfBumps, WhatDoesNotMatchHasNoDepthOrALargeSigma) {
   EXPECT_LT(result.completeness, 0.1);
 }
 
-TEST_F(SweepOfBumps, SaysWhatIsMissing) {
+TEST_F(SweepOfBumps, RefusesMissingAndMismatchedInput) {
   const auto sweep = [](const SweepInput& input, const std::vector<SweepView>& views) {
     return [&] { sweep_surface(input, views, test_options(), {}); };
   };

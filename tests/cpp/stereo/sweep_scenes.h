@@ -14,7 +14,7 @@ namespace malus::sweep_scenes {
 inline constexpr double distance_mm = 400, focal = 500, gsd_mm = distance_mm / focal;
 inline constexpr Size station_size{160, 120};
 
-/// Height of the scene's surface above z = distance_mm in the world, which is the station's frame before its pose.
+/// World z of the scene's surface at world (x, y). The station is at the origin and looks towards +z.
 using Surface = std::function<double(double x, double y)>;
 
 inline double plane(double x, double y) {
@@ -25,7 +25,7 @@ inline double bumps(double x, double y) {
   return distance_mm + 5 * gsd_mm * std::sin(x / 12) * std::cos(y / 15) + 0.1 * x;
 }
 
-/// Reflectance of the surface at (x, y): a sum of waves down to a few GSD without a period in sight.
+/// Reflectance of the surface at (x, y): a sum of waves down to a few GSD, not periodic within the view.
 inline double texture(double x, double y) {
   double sum = 0.5, amplitude = 0.11;
   for (int octave = 0; octave < 4; ++octave) {
@@ -51,13 +51,13 @@ inline Eigen::Vector3d meet(const Surface& surface, const Eigen::Vector3d& origi
   return origin + t * direction;
 }
 
-/// Photo of the surface through a lens, 2 × 2 rays a pixel; `gain` and `offset` as a camera of its own would have.
+/// Photo of the surface through a lens, with 2 × 2 rays per pixel; `gain` and `offset` simulate another camera.
 inline SweepView photo(const Surface& surface, const Eigen::Vector3d& centre, const LensCamera& camera, double gain = 1,
                        double offset = 0) {
   SweepView view{Image<float>(camera.size), camera, looking_from(centre)};
   for (int v = 0; v < camera.size.height; ++v) {
     for (int u = 0; u < camera.size.width; ++u) {
-      // Over a pixel the lens shifts and scales evenly enough.
+      // Within a pixel, distortion is nearly constant: the pixel's undistorted position is enough.
       const Eigen::Vector2d ideal = camera.undistort(Eigen::Vector2d(u, v));
       double sum = 0;
       for (const double dv : {-0.25, 0.25}) {
@@ -84,7 +84,7 @@ struct Scene {
   Image<double> truth{station_size};
 };
 
-/// Station at the origin and photos around it, seeing the surface from 15° to 20° aside.
+/// Station at the origin and photos around it that see the surface from 15° to 20° off the station's direction.
 inline Scene make_scene(const Surface& surface, int photos) {
   const LensCamera lens{LensModel::pinhole, station_size, {focal, focal, 79, 60.5}};
   Scene scene;

@@ -10,7 +10,7 @@ namespace {
 
 using namespace sweep_scenes;
 
-/// The station's full view and one of half its size, with the depth of the scene's plane.
+/// The station's view at full and at half size, and the depth of the scene's plane.
 struct Levels {
   explicit Levels(const Scene& scene) {
     full.mask = scene.input.mask;
@@ -24,7 +24,7 @@ struct Levels {
   Image<float> log_depth;
 };
 
-TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndNoFloatsBesideAFullOne) {
+TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndFreesFloatsAtFullSize) {
   Scene scene = make_scene(plane, 4);
   const Image<float> before = scene.views[0].intensity;
   Levels levels(scene);
@@ -38,12 +38,12 @@ TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndNoFloatsBesideAFullOne) {
 
   photos.prepare(levels.full, {});
   EXPECT_EQ(levels.full.views[0].photo->size(), before.size());
-  // The same cells are those of this level now.
+  // The half level now refers to the cells of the full level.
   EXPECT_EQ(levels.half.views[0].photo, levels.full.views[0].photo);
   for (const SweepView& view : scene.views) EXPECT_TRUE(view.intensity.empty());
 }
 
-TEST(ViewChoice, HalvesAPhotoAgainThatItHoldsAsCells) {
+TEST(ViewChoice, CanHalveAPhotoThatItHoldsAsCells) {
   Scene scene = make_scene(plane, 4);
   Levels levels(scene);
   ViewChoice photos(scene.input, scene.views, test_options(), {});
@@ -58,12 +58,12 @@ TEST(ViewChoice, HalvesAPhotoAgainThatItHoldsAsCells) {
   EXPECT_EQ(levels.half.views[2].photo->size(), half.size());
 }
 
-TEST(ViewChoice, SaysTheParallaxOfThePhotosChosen) {
+TEST(ViewChoice, ReportsTheParallaxOfTheChosenPhotos) {
   Scene scene = make_scene(plane, 4);
   Levels levels(scene);
   ViewChoice photos(scene.input, scene.views, test_options(), {});
   photos.choose(levels.half, levels.log_depth);
-  // A point nearer by a share of its distance shifts by so much of the base over the distance, in px.
+  // Parallax per unit of ln z: base / distance · focal length, in px.
   const double expected = 125 / distance_mm * focal;
   EXPECT_NEAR(photos.parallax(levels.full) / expected, 1, 0.15);
   EXPECT_DOUBLE_EQ(photos.parallax(levels.half), photos.parallax(levels.full) / 2);

@@ -11,7 +11,7 @@ using namespace scenes;
 
 const Eigen::Vector3d tilted = Eigen::Vector3d(0.15, -0.1, 1).normalized();
 
-/// A tilted plane with a raised, smooth-topped mesa on it (elevation known), camera frame.
+/// A tilted plane (camera frame) with a raised square of known elevation on it.
 FusedSurface mesa(double height) {
   const Pinhole camera = centred_camera({160, 120}, 1000);
   return surface_of(camera.size, 1000, [&](int u, int v) {
@@ -38,7 +38,7 @@ TEST(Dem, PlaneIsZeroAndAStepHasItsHeight) {
   EXPECT_NEAR(static_cast<double>(top), 19 * 19, 60);
 }
 
-TEST(Dem, RasterLooksLikeTheImageAndItsFrameLeadsBackToTheSurface) {
+TEST(Dem, RasterIsOrientedLikeTheImageAndItsFrameMapsBackToTheSurface) {
   const FusedSurface surface = mesa(1.25);
   const Dem dem = dem_from_mesh(mesh_from_depth(surface, {}, {}, {}), surface, {}, {});
   double column_sum = 0, row_sum = 0, count = 0;

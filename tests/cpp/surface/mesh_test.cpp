@@ -17,7 +17,7 @@ FusedSurface sphere_surface(Size size) {
   return surface_of(size, 1000, [&](int u, int v) { return sphere_depth(camera, {2, -3, 800}, 60, u, v); });
 }
 
-/// Mean of a triangle's corners and its normal (not unit), world frame.
+/// Centroid of a triangle and its normal (not a unit vector), world frame.
 std::pair<Eigen::Vector3d, Eigen::Vector3d> face(const TriangleMesh& mesh, std::size_t index) {
   const auto& [a, b, c] = mesh.triangles[index];
   const auto& x = mesh.vertices.points;
@@ -56,9 +56,9 @@ TEST(Mesh, EveryVertexIsUsedAndEveryCellOfAPlaneHasTwoTriangles) {
   EXPECT_EQ(mesh.triangles.size(), 2u * 49u * 39u);
 
   FusedSurface holes = plane;
-  holes.depth(10, 10) = none;  // inside: two of its four cells' triangles are replaced
+  holes.depth(10, 10) = none;  // inside: each of its four cells keeps one triangle
   for (int u = 20; u < 50; ++u) holes.depth(u, 20) = none;
-  holes.depth(0, 1) = holes.depth(1, 0) = holes.depth(1, 1) = none;  // (0, 0) alone: dropped
+  holes.depth(0, 1) = holes.depth(1, 0) = holes.depth(1, 1) = none;  // (0, 0) remains alone and is dropped
   const TriangleMesh torn = mesh_from_depth(holes, {}, {}, {});
   std::set<std::uint32_t> used;
   for (const auto& triangle : torn.triangles) used.insert(triangle.begin(), triangle.end());
@@ -67,16 +67,17 @@ TEST(Mesh, EveryVertexIsUsedAndEveryCellOfAPlaneHasTwoTriangles) {
 }
 
 TEST(Mesh, CutsAnOcclusionAndKeepsSteepRelief) {
-  // Two walls 60 GSD apart; nothing may join them.
+  // Two walls 60 GSD apart: no triangle may join them.
   const FusedSurface step = surface_of({60, 60}, 1000, [](int u, int) { return u < 30 ? 500.0 : 530.0; });
   EXPECT_EQ(triangle_count(step), 2u * 59u * 59u - 2u * 59u);
-  // 6 GSD in one pixel is only 80.5° steep, but flat on both sides: a discontinuity.
+  // A step of 6 GSD in one pixel is only 80.5° steep, but both sides are flat: it is a discontinuity.
   const FusedSurface small_step = surface_of({60, 60}, 1000, [](int u, int) { return u < 30 ? 500.0 : 503.0; });
   EXPECT_EQ(triangle_count(small_step), 2u * 59u * 59u - 2u * 59u);
-  // 3 GSD: carved relief.
+  // A step of 3 GSD counts as carved relief.
   const FusedSurface edge = surface_of({60, 60}, 1000, [](int u, int) { return u < 30 ? 500.0 : 501.5; });
   EXPECT_EQ(triangle_count(edge), 2u * 59u * 59u);
-  // A ramp of 6 GSD a pixel (80.5°) over five pixels is real and stays whole, but for the tolerance the user asks for.
+  // A ramp of 6 GSD per pixel (80.5°) over five pixels is a real surface and stays whole, unless max_incidence_deg cuts
+  // it.
   const FusedSurface ramp = surface_of({60, 60}, 1000, [](int u, int) { return 500.0 + 3 * std::clamp(u - 28, 0, 5); });
   EXPECT_EQ(triangle_count(ramp), 2u * 59u * 59u);
   SurfaceOptions strict;
@@ -88,7 +89,7 @@ TEST(Mesh, EndsWhereTheDepthIsTooUncertain) {
   FusedSurface plane = surface_of({50, 40}, 1000, [](int, int) { return 500.0; });
   plane.sigma = Image<float>({50, 40}, 1, 0.5f);  // 1 GSD
   for (int v = 0; v < 40; ++v) plane.sigma(0, v) = plane.sigma(1, v) = 6;
-  plane.sigma(20, 20) = none;  // not known to be too large
+  plane.sigma(20, 20) = none;  // an unknown sigma does not cut
   EXPECT_EQ(triangle_count(plane), 2u * 47u * 39u);
   SurfaceOptions generous;
   generous.max_sigma_gsd = 13;
@@ -106,7 +107,7 @@ TEST(Mesh, SubsampledMeshKeepsTheCutsOfTheFullOne) {
   EXPECT_EQ(mesh.triangles.size(), 2u * 15u * 15u - 2u * 15u);
 }
 
-TEST(Mesh, ColoursAreSrgbOfThePercentile) {
+TEST(Mesh, ColorsAreSrgbScaledToThePercentile) {
   const FusedSurface flat = surface_of({40, 40}, 1000, [](int, int) { return 500.0; });
   Image<float> color(flat.depth.size(), 3, 0.0f);
   for (int v = 0; v < 40; ++v) {

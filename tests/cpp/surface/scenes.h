@@ -11,12 +11,12 @@ namespace malus::scenes {
 
 inline constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
-/// A turned and shifted camera, so that a wrong frame shows.
+/// A rotated and shifted pose, so that using the wrong frame makes tests fail.
 inline Pose some_pose() {
   return {Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, -2, 0.5).normalized()).toRotationMatrix(), {30, -20, 500}};
 }
 
-/// Surface whose depth is depth_of(u, v).
+/// A surface with depth depth_of(u, v).
 inline FusedSurface surface_of(Size size, double focal, const std::function<double(int, int)>& depth_of) {
   FusedSurface surface;
   surface.camera = {size, focal, focal, 0.5 * (size.width - 1), 0.5 * (size.height - 1)};

@@ -28,7 +28,7 @@ FusedSurface ball() {
   return surface_of(camera.size, 1000, [&](int u, int v) { return sphere_depth(camera, {0, 0, 900}, 400, u, v); });
 }
 
-TEST(DisplayImage, WhiteIsThePercentileAndGreyIsEncoded) {
+TEST(DisplayImage, WhiteIsThePercentileAndGrayIsSrgbEncoded) {
   Image<float> color({10, 10}, 1, 0.5f), depth({10, 10}, 1, 1.0f);
   color(0, 0) = 0.25f;
   color(1, 0) = none;
@@ -41,9 +41,9 @@ TEST(DisplayImage, WhiteIsThePercentileAndGreyIsEncoded) {
   EXPECT_EQ(display(2, 0), 255);
 }
 
-TEST(DisplayImage, FitsWithinASideByAveragingWholeBlocks) {
+TEST(DisplayImage, FitsWithinAMaximumSideByAveragingBlocks) {
   Image<float> color({7, 4}, 1, 0.25f);
-  color(6, 0) = 1;  // white, so that the rest is darker
+  color(6, 0) = 1;  // defines white, so that the other pixels are darker
   color(0, 0) = 0;
   const Image<float> depth(color.size(), 1, 1.0f);
   const Image<std::uint8_t> full = display_image(color, depth, 100, {}),
@@ -51,12 +51,12 @@ TEST(DisplayImage, FitsWithinASideByAveragingWholeBlocks) {
   ASSERT_EQ(full(1, 1), 137);  // sRGB of one quarter
   EXPECT_EQ(small.size(), (Size{4, 2}));
   EXPECT_EQ(small(0, 0, 2), (3 * 137 + 2) / 4);
-  EXPECT_EQ(small(3, 0), (255 + 137 + 1) / 2);  // the last column has two rows of one pixel
+  EXPECT_EQ(small(3, 0), (255 + 137 + 1) / 2);  // the last block is one pixel wide and two high
   EXPECT_EQ(small(3, 1), 137);
   EXPECT_EQ(display_image(color, depth, 100, 7, {}), full);
 }
 
-/// A ball before a wall, with holes, large enough for many strips of uneven size.
+/// A ball in front of a wall, with holes, large enough for many strips of different sizes.
 FusedSurface ball_and_wall() {
   const Pinhole camera = centred_camera({901, 640}, 1200);
   FusedSurface surface = surface_of(camera.size, 1200, [&](int u, int v) {
@@ -107,7 +107,7 @@ TEST(Strips, GiveTheFilesOfTheWholeMeshWithAnyNumberOfThreads) {
   }
 }
 
-TEST(Strips, OfAFarFrameHaveDoubleCoordinatesAsTheWholeMeshHas) {
+TEST(Strips, FarFromTheOriginHaveDoubleCoordinatesLikeTheWholeMesh) {
   const TemporaryFolder folder;
   FusedSurface surface = ball_and_wall();
   surface.pose.translation += Eigen::Vector3d(4e6, 5e6, 0);
@@ -118,7 +118,7 @@ TEST(Strips, OfAFarFrameHaveDoubleCoordinatesAsTheWholeMeshHas) {
   EXPECT_EQ(bytes, read_file(folder / "whole.ply", "mesh"));
 }
 
-TEST(Subsample, FollowsTheTriangles) {
+TEST(Subsample, GrowsWithTheNumberOfTriangles) {
   SurfaceOptions options;
   EXPECT_EQ(subsample_for(1000, 1000, options), 1);
   EXPECT_EQ(subsample_for(1001, 1000, options), 2);
@@ -142,7 +142,7 @@ TEST(Dem, FileHoldsTheRaster) {
   EXPECT_THROW(length_unit("furlong"), Error);
 }
 
-TEST(Glb, IsInMetresAndItsTextureLiesOnThePixelGrid) {
+TEST(Glb, IsInMetersAndItsTextureLiesOnThePixelGrid) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball();
   const TriangleMesh mesh = mesh_from_depth(surface, {}, {}, {});

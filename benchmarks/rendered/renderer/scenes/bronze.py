@@ -1,4 +1,4 @@
-"""A struck medal of metal in a light tent with one dark side and a softbox. Conductor: the dielectric formulas do not hold."""
+"""A struck medal of metal in a light tent with one dark side and a softbox. The formulas for dielectrics do not hold for metal."""
 
 import lights
 import numpy as np

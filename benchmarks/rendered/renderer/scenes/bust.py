@@ -1,4 +1,4 @@
-"""A head of uniform albedo under a sun and a weak sky: large slopes, silhouettes, light between surfaces."""
+"""A head of uniform albedo under a sun and a weak sky: large slopes, silhouettes, interreflections."""
 
 import lights
 import numpy as np
@@ -6,7 +6,7 @@ from geometry import board, object_mesh, star_shaped
 
 
 def bump(d, az, el, sa, se, amplitude):
-    """Gaussian in azimuth (from +z towards +x) and elevation, degrees."""
+    """Gaussian in azimuth (from +z towards +x) and elevation, in degrees."""
     a, e = np.degrees(np.arctan2(d[..., 0], d[..., 2])), np.degrees(np.arcsin(np.clip(d[..., 1], -1, 1)))
     return amplitude * np.exp(-0.5 * (((a - az) / sa) ** 2 + ((e - el) / se) ** 2))
 

@@ -11,7 +11,7 @@ GLAZE, BODY = 1, 2
 
 
 def bands(X, Y, r, ph, R, rng):
-    """Rings, petals around the foot and a scroll band, as 0..1 of cobalt."""
+    """Painted rings, petals around the foot and a scroll band: the amount of cobalt, 0..1."""
     line = lambda c, w: np.exp(-0.5 * ((r - c) / w) ** 4)
     ink = np.maximum.reduce([line(R * 0.93, 0.5), line(R * 0.9, 0.25), line(R * 0.55, 0.4)])
     petals = np.abs(r - R * (0.4 + 0.09 * np.abs(np.cos(5 * ph)))) < 0.6
@@ -64,7 +64,7 @@ def scene(style, rng, quality):
         body, np.clip(0.38 + 0.05 * matte + 0.03 * fbm(r.shape, step, 2, 30, rng, 1.0), 0.15, 0.6), alb
     ).astype(np.float32)
     V, N, F, UV = grid_mesh(x, y, z, step, r < R)
-    keep = r < R  # faces by material
+    keep = r < R  # divides the faces by material
     b = (
         body[keep]
         if len(V) == keep.sum()
@@ -103,7 +103,7 @@ def scene(style, rng, quality):
     waz, wel, ww, wh = style["window"]
 
     def surroundings(d):
-        """Ceiling and walls .35, the wall opposite the window 0.8, floor level dark; with +z up."""
+        """Radiance of the room, +z up: ceiling .35, wall opposite the window 0.8, dark towards the floor, a dark door, a lamp."""
         az = np.degrees(np.arctan2(d[..., 1], d[..., 0]))
         L = (
             0.25

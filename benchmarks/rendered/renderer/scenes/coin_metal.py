@@ -1,4 +1,4 @@
-"""The coin as rough metal: the dielectric formulas do not hold."""
+"""The coin of rough metal, for which the formulas for dielectrics do not hold."""
 
 from . import coin
 

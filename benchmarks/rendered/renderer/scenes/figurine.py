@@ -1,4 +1,4 @@
-"""A small glazed statuette in the round: six stations about the vertical axis (+y), one world frame, one closed mesh as truth."""
+"""A small glazed statuette in the round: six stations about the vertical axis (+y) in one world frame, with one closed mesh as truth."""
 
 import lights
 import numpy as np
@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 
 def ellipsoid(p, center, radii, turn=0.0):
-    """turn = degrees about z."""
+    """Approximate signed distance of an ellipsoid; turn = degrees about z."""
     a = np.radians(turn)
     x, y, z = (p[i] - center[i] for i in range(3))
     q = [x * np.cos(a) + y * np.sin(a), -x * np.sin(a) + y * np.cos(a), z]
@@ -18,14 +18,14 @@ def ellipsoid(p, center, radii, turn=0.0):
 
 
 def limb(p, a, b, ra, rb):
-    """From a to b with radii ra to rb."""
+    """Approximate signed distance of a limb from a to b with radii ra to rb."""
     ab = np.subtract(b, a)
     h = np.clip(sum((p[i] - a[i]) * ab[i] for i in range(3)) / (ab @ ab), 0, 1)
     return np.sqrt(sum((p[i] - a[i] - h * ab[i]) ** 2 for i in range(3))) - (ra + h * (rb - ra))
 
 
 def drum(p, y0, y1, radius, edge, lobes=0, depth=0.0):
-    """Round base with a rounded edge, scalloped in lobes."""
+    """Approximate signed distance of a round base with a rounded edge, scalloped in lobes."""
     r, ph = np.hypot(p[0], p[2]), np.arctan2(p[0], p[2])
     d = np.maximum(
         r - radius + edge + depth * (1 - np.abs(np.cos(lobes / 2 * ph))),
@@ -155,7 +155,7 @@ def scene(style, rng, quality):
 
 
 def daylight(d):
-    """Bright above, dark below, one brighter wall."""
+    """Radiance of the gallery: bright above, dark below, one brighter wall."""
     return 0.3 + 0.25 * d[..., 1] + 0.25 * np.clip(d[..., 0], 0, 1) ** 2
 
 

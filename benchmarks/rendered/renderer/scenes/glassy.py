@@ -1,4 +1,4 @@
-"""Black glass with facets and engraved rings under an overcast sky: no texture, stereo fails."""
+"""Black glass with facets and engraved rings under an overcast sky: no texture, so that stereo fails."""
 
 import lights
 import numpy as np

@@ -14,7 +14,7 @@ def ground(X, Y, rng):
 
 
 def paint(style, rng, h, alb, x, y, X, Y):
-    """Strokes one over the other; each has bristle furrows, raised edges and its own paint."""
+    """Overlapping brush strokes; each has bristle furrows, raised edges and a paint color."""
     for _ in range(style["strokes"]):
         L, w, A = (
             rng.uniform(*style["lengths"]),

@@ -1,5 +1,5 @@
-"""Round objects on a board, of kinds that no other scene has: ball, orange, hedgehog, vase with black and white paint, kettle of
-metal, shell. Each has a file of its name beside this one; shape and color are drawn by the object's seed.
+"""Round objects on a board, of kinds that no other scene contains: ball, orange, hedgehog, vase with black and white paint, metal
+kettle, shell. Each has a file with its name in this folder. The seed determines shape and color.
 """
 
 import lights
@@ -8,7 +8,7 @@ from geometry import board, object_mesh, star_shaped
 
 
 def waves(rng, count, k):
-    """Sum of waves in random directions, of variance 1; k: their number along a radius, about."""
+    """Sum of waves in random directions, with variance 1; k: approximate wave number per radius (rad)."""
     v = rng.normal(size=(count, 3))
     v /= np.linalg.norm(v, axis=1, keepdims=True)
     k = k * np.exp(rng.uniform(-0.4, 0.4, count))
@@ -17,7 +17,7 @@ def waves(rng, count, k):
 
 
 def shape_of(kind, rng):
-    """Radius [mm] and albedo by direction; of a kettle the metal."""
+    """Functions of the direction for radius [mm] and albedo; for a kettle also its metal, else None."""
     R = 45.0
     big, fine = waves(rng, 8, 3.0), waves(rng, 24, 28.0)
     metal, albedo = None, lambda d: np.full(len(d), float(rng.uniform(0.25, 0.8)))

@@ -1,4 +1,4 @@
-"""A cuneiform clay tablet: convex, matte, one raking softbox and a weak reflector card; light between surfaces counts."""
+"""A cuneiform clay tablet: convex, matte, one raking softbox and a weak reflector card; interreflections matter."""
 
 import lights
 import numpy as np
@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 
 def write_lines(style, rng, det, x, y, X, Y, half):
-    """Ruled lines of signs; every sign is a few wedges of the style's directions."""
+    """Presses ruled lines of signs into the clay; every sign consists of a few wedges in the style's directions."""
     hx, hy = half
     top, bottom, pitch = style["lines"]
     for line in np.arange(bottom, top, pitch):

@@ -1,4 +1,4 @@
-// Talking to Studio's server, and small helpers for building the page.
+// Requests to Studio's server, and small helpers for building the page.
 const pageToken = document.querySelector('meta[name="malus-page"]').content;
 
 async function answerOf(response) {
@@ -13,7 +13,7 @@ const reach = async (address, options) => {
   try {
     response = await fetch(address, options);
   } catch {
-    throw new Error('Malus Studio does not answer; it may have been ended. Runs that it had started have ended with it.');
+    throw new Error('Malus Studio does not answer; it may have been closed. If so, the runs that it had started have stopped, too.');
   }
   return answerOf(response);
 };
@@ -39,7 +39,7 @@ export const byId = (id) => document.getElementById(id);
 const message = byId('message');
 export const say = (text) => { message.textContent = text || ''; };
 
-// A listener that shows what goes wrong, and clears what went wrong before.
+// Wraps a listener: errors are shown in the message line, after earlier messages were cleared.
 export const doing = (work) => async (event) => {
   event?.preventDefault?.();
   say('');
@@ -50,7 +50,7 @@ export const doing = (work) => async (event) => {
   }
 };
 
-// Work that is not begun again while it is being done: a button may be pressed twice.
+// Wraps a listener: calls are ignored while an earlier call is still running, because a button may be pressed twice.
 export const once = (work) => {
   let busy = false;
   return async (event) => {
@@ -64,7 +64,8 @@ export const once = (work) => {
   };
 };
 
-// The number in a field; null for an empty one that may be empty. What says no number becomes what stood there before.
+// The number in a field; null for an empty field that may be empty. If the field holds no number, its earlier value is restored
+// and an error is thrown.
 export function numberIn(field, mayBeEmpty = false) {
   if (field.value.trim() !== '') return Number(field.value);
   if (mayBeEmpty && !field.validity.badInput) return null;
@@ -73,7 +74,7 @@ export function numberIn(field, mayBeEmpty = false) {
 }
 
 const METERS = { um: 1e-6, mm: 1e-3, cm: 1e-2, m: 1, in: 0.0254, ft: 0.3048 };
-// A length of the station's unit in µm, mm or m, whichever is handy.
+// A length of the station's unit in µm, mm or m, whichever gives a short number.
 export function length(value, unit, digits = 2) {
   if (value === null || value === undefined) return '–';
   const meters = value * METERS[unit];

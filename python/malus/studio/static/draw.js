@@ -10,18 +10,18 @@ const what = byId('draw-what');
 const image = byId('draw-image');
 let view = null;
 let layer = null;
-const unsaved = new Map();  // Layers that could not be saved yet, by station and kind.
+const unsaved = new Map();  // Painted layers that could not be saved yet, by nameOfLayer().
 let shown = { image: null, what: null, station: null };
 let tool = 'move';
 let label = null;
 let width = 24;
 let tolerance = 18;
-let points = [];      // of the shape or stroke that is being drawn, in image pixels
-let cursor = null;    // of the keyboard, in image pixels
+let points = [];      // corners of the shape or stroke that is being drawn, in image pixels
+let cursor = null;    // crosshair moved by keyboard, in image pixels
 let pressed = false;
 let end = { distance: 0, name: 'a' };
-let point = 0;        // which control point is marked
-let examined = { lines: [], fits: {}, problem: '' };  // of the known distances or control points, as the server last said it
+let point = 0;        // index of the control point that is being marked
+let examined = { lines: [], fits: {}, problem: '' };  // last answer of the server on the known distances or control points
 
 const painted = () => what.value in LABELS;
 const TOOLS = {
@@ -29,11 +29,11 @@ const TOOLS = {
   patch: [['move', 'Move'], ['box', 'Draw a box']], profile: [['move', 'Move'], ['line', 'Draw a line']], scale: [['move', 'Move'], ['mark', 'Set the mark']], control: [['move', 'Move'], ['mark', 'Set the mark']],
 };
 
-// One after the other: what is drawn on and what is drawn must not come from two choices that were made quickly.
+// Runs tasks one after another. Otherwise two quick choices could combine the image of one with the layer of the other.
 let showing = Promise.resolve();
 const inTurn = (work) => { showing = showing.catch(() => {}).then(work); return showing; };
 
-// Nothing is drawn on what is about to be replaced: until the last such work has ended. What has the keyboard keeps it.
+// Disables drawing until all such tasks have ended, because they may replace the layer. The keyboard focus is restored afterwards.
 let awaited = 0;
 let focused = null;
 async function resting(work) {
@@ -63,13 +63,14 @@ async function showChoice() {
   byId('tools').replaceChildren();
   byId('draw-side').replaceChildren();
   if (list.length) await showImage();
-  else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: choose their folder, or the cameras that a COLMAP model has of them, under Station.' : state.station.error ?? 'The station has no image that can be shown.'));
+  else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: under Station, choose their folder or a COLMAP model with their cameras.' : state.station.error ?? 'The station has no image that can be shown.'));
 }
 
 // What marks call a photograph, by its path: below the photographs' folder, or in the COLMAP model, it may lie in a folder of its own.
 let nameOfPhoto = new Map();
 
-// Known distances are marked in photographs, control points also in the polarized image; with a prior only there.
+// Images to draw on. Known distances are marked in photographs. Control points are marked in the polarized image and in
+// photographs; if there is a prior, in the polarized image only.
 async function imagesOf(kind) {
   if (kind !== 'scale' && kind !== 'control') return state.station.images;
   if (kind === 'control' && state.station.values.prior) return state.station.images.slice(0, 1);
@@ -81,8 +82,8 @@ async function imagesOf(kind) {
 
 const nameOfLayer = () => `${shown.what} of ${shown.station}`;
 
-// Saves what is painted before something else is shown; what was painted and undone leaves nothing to save. Returns what goes wrong:
-// the layer then stays in this page until it is saved.
+// Saves the painted layer before something else is shown, unless nothing is painted. If saving fails, the layer is kept in this page
+// until it is saved, and the error message is returned.
 async function saveBefore() {
   if (!layer?.changed || shown.station !== state.station.path || !layer.box(0)) return '';
   try {
@@ -90,11 +91,11 @@ async function saveBefore() {
     return '';
   } catch (error) {
     unsaved.set(nameOfLayer(), layer);
-    return `What you have drawn is not saved, but kept under Draw. ${error.message}`;
+    return `Your drawing could not be saved; it is kept under Draw. ${error.message}`;
   }
 }
 
-// What is still being looked for belongs to it.
+// Waits for running tasks first, because their results belong to the layer.
 export const leaveDrawing = () => inTurn(saveBefore);
 
 window.addEventListener('beforeunload', (event) => { if (layer?.changed || unsaved.size) event.preventDefault(); });
@@ -122,12 +123,13 @@ async function showImage() {
   view.redraw();
 }
 
-// Where what is being marked lies in this photo by its marks in others, and how well everything fits.
+// Asks the server where the point or end that is being marked lies in this photo according to its marks in other photos, and how well
+// all marks fit.
 let questions = 0;
 async function examine() {
   const mine = ++questions;
   const said = await examination();
-  if (said && mine === questions) examined = said;  // Else something else is being marked by now.
+  if (said && mine === questions) examined = said;  // Otherwise a newer request is under way.
 }
 
 async function examination() {
@@ -139,14 +141,14 @@ async function examination() {
 const painting = () => state.station.painted[what.value];
 const digestOf = (file) => file?.digest ?? '';
 const fits = (one) => one.canvas.width === view.size.x && one.canvas.height === view.size.y;
-// Whether the file has become another one since it was shown, and nothing was painted upon it.
+// Whether the layer must be loaded again: its size differs from the image, or its file has changed and the user has not painted on it.
 const isOutdated = () => Boolean(layer && painted()) && (!fits(layer) || (!layer.changed && layer.known !== digestOf(painting())));
 
 async function loadLayer() {
   const kept = unsaved.get(nameOfLayer());
   if (kept && fits(kept)) return kept;
   const loaded = new Layer(view.size.x, view.size.y, what.value);
-  loaded.known = digestOf(painting());  // The state of the file that it is drawn upon; no other one is overwritten.
+  loaded.known = digestOf(painting());  // The state of the file that the layer starts from. Saving overwrites no other state.
   if (loaded.known) await loaded.load(await ask('mask', { path: painting().path }), { remember: false });
   return loaded;
 }
@@ -185,7 +187,8 @@ function invert() {
   });
 }
 
-// GrabCut: what is painted is probably the object, far from it is background.
+// GrabCut with these hints: painted pixels are probably the object (3), pixels near their box probably background (2), all others
+// background (0).
 async function cutOut() {
   const near = layer.box(0.12);
   if (!near) throw new Error('Paint roughly over the object first; the edge is then found around it.');
@@ -203,7 +206,7 @@ async function cutOut() {
 async function outline() {
   byId('draw-state').textContent = 'Projecting the prior …';
   await layer.load(await ask('outline', { path: state.station.path }));
-  byId('draw-state').textContent = 'The mask is what the prior covers.';
+  byId('draw-state').textContent = 'The mask is now the area that the prior covers.';
 }
 
 async function similar([u, v]) {
@@ -233,7 +236,7 @@ async function saveLayer() {
       byId('draw-state').textContent = '';
       throw new Error(`${other?.path ?? `What ${place.station} names`} was changed by another program or page since it was shown here. Keep what you have drawn, or what is in the file?`);
     }
-    await put();  // Only the rest of the station file was changed, which has been read again.
+    await put();  // Only other parts of the station file were changed. The file has been read again by now.
   }
   unsaved.delete(`${place.what} of ${place.station}`);
   if (saving === layer) drawTools();
@@ -254,7 +257,7 @@ async function takeTheirs() {
   drawTools();
 }
 
-// As many numbers as a field's list had before.
+// The `count` numbers in a field. Otherwise the earlier text is restored and an error is thrown.
 function numbersIn(field, count) {
   const numbers = field.value.trim().split(/[,;\s]+/).map((part) => part === '' ? NaN : Number(part));
   if (numbers.length === count && numbers.every(Number.isFinite)) return numbers;
@@ -265,7 +268,7 @@ function numbersIn(field, count) {
 
 const boxOf = (list, margin) => [Math.min(...list.map((p) => p[0])) - margin, Math.min(...list.map((p) => p[1])) - margin, Math.max(...list.map((p) => p[0])) + margin + 1, Math.max(...list.map((p) => p[1])) + margin + 1];
 
-// The layer's canvas counts from its corner, points from the middle of the first pixel.
+// (0, 0) is the corner of the layer's canvas, but the center of the first pixel for `points`.
 function trace(context, list) {
   context.beginPath();
   list.forEach(([u, v], index) => context[index ? 'lineTo' : 'moveTo'](u + 0.5, v + 0.5));
@@ -291,7 +294,7 @@ function endPolygon() {
   points = [];
 }
 
-// ---- pointer and keyboard: press, move, release at image pixels ----
+// ---- pointer and keyboard: press, move, release; positions in image pixels ----
 
 async function press(at) {
   if (tool === 'polygon') {
@@ -352,13 +355,13 @@ const onKey = doing(async (event) => {
   byId('draw-state').textContent = `Crosshair at ${cursor[0]}, ${cursor[1]}${pressed ? ', pressed' : ''}`;
   view.redraw();
 });
-// All other keys are the browser's: Tab goes on, Ctrl and + enlarges the page.
+// All other keys keep their meaning in the browser: Tab moves the focus, Ctrl and + enlarges the page.
 stage.addEventListener('keydown', (event) => {
   const known = event.ctrlKey || event.metaKey ? ['z', 'y'] : [...Object.keys(ARROWS), 'Enter', 'Escape', '+', '-'];
   if (view?.size && event.target === stage && known.includes(event.key)) onKey(event);
 });
 
-// ---- what lies over the image ----
+// ---- overlay on the image ----
 
 function paint(context) {
   if (layer) {
@@ -420,7 +423,7 @@ function cross(context, [x, y], text) {
 
 // ---- lists beside the image: patches, profiles, distances ----
 
-// Each list as it is being changed. A change is made upon those before it, also where their answers are still awaited.
+// Each list with all changes made so far, including those that the server has not yet confirmed.
 const drafts = new Map();
 function entries(list) {
   let draft = drafts.get(list);
@@ -431,7 +434,7 @@ function entries(list) {
   return draft.all;
 }
 
-// Tells of a change of these entries. They are no longer the list if what they were changed upon has become another one.
+// Sends changed entries to the server. Throws if the list was replaced meanwhile, so that `all` belongs to an outdated list.
 async function store(list, all) {
   if (entries(list) !== all) throw new Error('The list has changed meanwhile; please make your last change once more.');
   const draft = drafts.get(list);
@@ -446,7 +449,7 @@ async function store(list, all) {
   } finally {
     draft.awaited -= 1;
   }
-  if (what.value !== list) return;  // Something else is being shown by now, and draws itself.
+  if (what.value !== list) return;  // Another list or layer is shown by now.
   await examine();
   drawSide();
   view.redraw();
@@ -454,10 +457,10 @@ async function store(list, all) {
 
 function remove(list, all, entry) {
   const at = all.indexOf(entry);
-  if (at < 0) return undefined;  // Its button was pressed twice.
+  if (at < 0) return undefined;  // The button was pressed twice.
   all.splice(at, 1);
   const marked = list === 'scale' ? end.distance : point;
-  if (tool === 'mark' && at === marked) {  // Nothing else is marked in its place.
+  if (tool === 'mark' && at === marked) {  // Otherwise the next entry would be marked.
     tool = 'move';
     drawTools();
   }
@@ -482,7 +485,7 @@ async function addShape([[u0, v0], [u1, v1]]) {
 function drawSide() {
   const side = byId('draw-side');
   if (painted()) redraw(side, make('p', { class: 'note' }, what.value === 'mask'
-    ? 'Paint what is the object. “Find the edge” looks for it around what is painted; “Similar color” adds what is connected and looks alike.' : 'Blue: diffuse. Orange: specular. What is not painted is decided by the program.'));
+    ? 'Paint the object. “Find the edge” searches its outline around the painted area; “Similar color” adds connected pixels of similar color.' : 'Blue: diffuse. Orange: specular. Malus decides for all unpainted pixels.'));
   else if (what.value === 'scale') redraw(side, ...scaleSide());
   else if (what.value === 'control') redraw(side, ...controlSide());
   else redraw(side, ...shapeSide(what.value));
@@ -523,10 +526,10 @@ function scaleSide() {
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
     at === end.distance ? offTheLines() : null, fitOf(at),
     button('Remove', () => remove('scale', all, entry)));
-  return [make('p', { class: 'note' }, examined.problem || 'Red lines: where the end lies by its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => { all.push({ distance: 100, a: [], b: [] }); return store('scale', all); })];
+  return [make('p', { class: 'note' }, examined.problem || 'Red lines: positions of the end that fit its marks in the other photos.'), ...all.map(row), button('Add a known distance', () => { all.push({ distance: 100, a: [], b: [] }); return store('scale', all); })];
 }
 
-// How far the mark in this photo lies from the lines that the other photos allow.
+// Distance of the mark in this photo from the epipolar lines of the marks in the other photos.
 function offTheLines() {
   const mark = (entries('scale')[end.distance]?.[end.name] ?? []).find((one) => one.image === here());
   const away = mark ? examined.lines.filter((line) => line.length > 1).map((line) => Math.min(...line.slice(1).map((to, at) => distanceTo(line[at], to, [mark.x, mark.y])))) : [];
@@ -551,7 +554,7 @@ function fitOf(at) {
 
 const polarized = () => state.station.images.includes(image.value);
 const markOf = (entry) => polarized() ? entry.pixel : (entry.marks ?? []).filter((mark) => mark.image === here()).map((mark) => [mark.x, mark.y])[0];
-// A point without a name is called by its number, as the program does.
+// A point without a name is named by its number, as in the station reader.
 const nameOf = (entry, at) => entry.name ?? String(at + 1);
 const pointsHere = () => entries('control').flatMap((entry, at) => markOf(entry) ? [[nameOf(entry, at), markOf(entry)]] : []);
 
@@ -564,12 +567,12 @@ async function setPoint([x, y]) {
   await store('control', all);
 }
 
-// Lines "name X Y Z", as instruments and spreadsheets write them; a known name gets new coordinates.
+// Reads lines "name X Y Z", as instruments and spreadsheets write them. A known name gets new coordinates.
 async function takeCoordinates(text) {
   const read = text.split('\n').map((row) => row.trim()).filter(Boolean).map((line) => {
     const [name, ...xyz] = line.split(/[;,\s]+/);
     const numbers = xyz.map(Number);
-    if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z, with a point as decimal sign.`);
+    if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z with decimal points.`);
     return { name, xyz: numbers };
   });
   const all = entries('control');
@@ -581,7 +584,7 @@ async function takeCoordinates(text) {
   await store('control', all);
 }
 
-// Typed, but not taken yet: the list is drawn anew whenever the file was written.
+// Typed coordinates that are not taken yet. They are kept here because the list is redrawn whenever the file was written.
 let coordinates = '';
 
 async function takeTyped() {
@@ -621,9 +624,9 @@ function verdict() {
   const { image: seen, datum } = examined;
   const said = [];
   const accuracy = seen?.center_sigma == null ? '' : `, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}`;
-  if (seen?.use === 'resection') said.push(`The camera stands where ${counted(seen.points.filter((one) => !one.check).length, 'point puts', 'points put')} it${accuracy}.`);
+  if (seen?.use === 'resection') said.push(`The camera's pose follows from ${counted(seen.points.filter((one) => !one.check).length, 'point', 'points')}${accuracy}.`);
   if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
-  for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the others fit far better: is its mark right?`);
+  for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the other points fit far better: is its mark right?`);
   return said.join(' ') || 'Mark each point where the image shows it.';
 }
 

@@ -1,4 +1,4 @@
-// Folders with thumbnails, and the table that makes a new station of some images.
+// Folders with thumbnails, and the table that makes a new station from chosen images.
 import { addressOf, ask, byId, doing, make, numberIn, once, tell } from './api.js';
 import { createStation, openStation } from './open_station.js';
 import { showPage } from './pages.js';
@@ -20,10 +20,10 @@ export async function showFolder(path = folder?.path ?? '') {
   byId('crumbs').replaceChildren(...crumbs(folder.path, folder.opened));
   byId('folder-list').replaceChildren(...[cards(folder.stations.map(stationCard), 'Stations'), cards(folder.folders.map(folderCard), 'Folders'), imageCards(), hiddenNote()].flat());
   const taken = (path) => beside.stations.includes(path);
-  if (again && !taken(form.elements.path.value)) return;  // Who was elsewhere finds what was typed, and the preview.
+  if (again && !taken(form.elements.path.value)) return;  // On return from another page, typed values and the preview are kept.
   shots = folder.images.map((image) => ({ ...image, use: image.path !== folder.mask, angle: null, exposure: null }));
   form.hidden = shots.length < 3;
-  asked += 1;  // A preview of the folder before is no longer of interest.
+  asked += 1;  // Discards a pending preview of the folder shown before.
   if (form.hidden) return;
   form.elements.name.value = folder.home;
   form.elements.response.value = 'linear';
@@ -33,7 +33,7 @@ export async function showFolder(path = folder?.path ?? '') {
   form.elements.path.value = free.find((name) => !taken(name));
   byId('preview').replaceChildren();
   drawTable();
-  fill();  // Files may take their time; it says itself what goes wrong.
+  fill();  // Not awaited, because reading the files may be slow. It reports its errors itself.
 }
 
 function crumbs(path, opened) {
@@ -53,7 +53,7 @@ function imageCards() {
     make('span', {}, image.name))), 'Images');
 }
 
-const hiddenNote = () => folder.hidden.length ? [make('p', { class: 'warning' }, `Not shown, as their names are not in UTF-8, and to be renamed first: ${folder.hidden.join(', ')}`)] : [];
+const hiddenNote = () => folder.hidden.length ? [make('p', { class: 'warning' }, `Not shown, because their names are not in UTF-8; rename them first: ${folder.hidden.join(', ')}`)] : [];
 
 function drawTable() {
   const dated = shots.some((shot) => shot.taken);
@@ -76,7 +76,8 @@ function exposuresOf(chosen) {
   return known.map((shot) => shot.exposure);
 }
 
-// Angles by the chosen source; what it cannot say is left to be typed, and what is typed before it answers stays.
+// Fills in the angles from the chosen source. Angles that the source does not give are left to be typed, and angles typed before its
+// answer are kept.
 async function fill() {
   const source = form.elements.source.value;
   if (source === 'typed') return preview();
@@ -110,7 +111,7 @@ async function preview() {
   const place = byId('preview');
   const number = ++asked;
   if (new Set(chosen.map((shot) => ((shot.angle % 180) + 180) % 180)).size < 3) {
-    place.replaceChildren(make('p', { class: 'note' }, 'Three angles that differ give a preview of intensity, degree and phase.'));
+    place.replaceChildren(make('p', { class: 'note' }, 'Three different angles give a preview of intensity, degree and phase.'));
     return;
   }
   place.replaceChildren(make('p', { class: 'note' }, 'Computing a preview …'));

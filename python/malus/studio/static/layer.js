@@ -1,7 +1,7 @@
 // A painted layer over an image: mask or labels, in the image's own pixels, with undo and redo.
 export const LABELS = { mask: [{ value: 255, name: 'object', color: [53, 167, 160] }],
   labels: [{ value: 1, name: 'diffuse', color: [58, 124, 165] }, { value: 2, name: 'specular', color: [224, 161, 59] }] };
-// Pixels that undo may remember in all.
+// Largest total number of pixels in the undo history.
 const REMEMBERED = 8e7;
 
 const canvasOf = (width, height) => Object.assign(document.createElement('canvas'), { width, height });
@@ -17,10 +17,11 @@ export class Layer {
     this.saved = 0;
   }
 
-  // Whether there is something to save. Who saves sets `saved` to the `edits` of what was sent: drawing goes on meanwhile.
+  // Whether there is something to save. A saver sets `saved` to the value that `edits` had when it sent the layer, because the user may
+  // go on drawing meanwhile.
   get changed() { return this.edits !== this.saved; }
 
-  // Change the layer by a function that draws within a box [x0, y0, x1, y1]; it can be undone.
+  // Changes the layer with a function that draws within a box [x0, y0, x1, y1]. The change can be undone.
   edit(box, draw) {
     const x = Math.max(0, Math.floor(box[0])), y = Math.max(0, Math.floor(box[1]));
     const width = Math.min(this.canvas.width, Math.ceil(box[2])) - x, height = Math.min(this.canvas.height, Math.ceil(box[3])) - y;
@@ -37,7 +38,7 @@ export class Layer {
     while (this.past.length > 1 && size() > REMEMBERED) this.past.shift();
   }
 
-  // Drawing smooths edges; a pixel is in or out, and has one label.
+  // Canvas drawing smooths edges. Each pixel must be fully in or out and have exactly one label.
   #sharpen(x, y, width, height) {
     const pixels = this.context.getImageData(x, y, width, height);
     const data = pixels.data;
@@ -72,7 +73,7 @@ export class Layer {
 
   get whole() { return [0, 0, this.canvas.width, this.canvas.height]; }
 
-  // Takes the values of a gray picture: replaced, or added to what is there.
+  // Loads the values of a gray picture. They replace the layer, or are added to it.
   async load(blob, { add = false, as = null, remember = true } = {}) {
     const bitmap = await createImageBitmap(blob);
     const gray = canvasOf(this.canvas.width, this.canvas.height);
@@ -97,7 +98,7 @@ export class Layer {
     }
   }
 
-  // PNG of a value for each pixel: `valueOf(kind or null, x, y)`, by default the layer's own values.
+  // A gray PNG with the value `valueOf(kind or null, x, y)` for each pixel; by default the layer's own values.
   png(valueOf = (kind) => kind?.value ?? 0) {
     const { width, height } = this.canvas;
     const pixels = this.context.getImageData(0, 0, width, height);
@@ -113,7 +114,7 @@ export class Layer {
     return new Promise((resolve) => out.toBlob(resolve, 'image/png'));
   }
 
-  // Box of what is painted, with a margin of a part of its size; null if nothing is.
+  // Bounding box of the painted pixels, enlarged on each side by `margin` times its size; null if nothing is painted.
   box(margin) {
     const { width, height } = this.canvas;
     const data = this.context.getImageData(0, 0, width, height).data;

@@ -1,18 +1,18 @@
-// The open station: what its file says, and every change of it.
+// The open station: its file's content, and every change of this file.
 import { ask, byId, tell } from './api.js';
 import { showAgain, showPage } from './pages.js';
 
 // The parts of the page that need an open station.
 export const OF_A_STATION = ['station', 'draw', 'options'];
 
-// The open station as the server last said it: path, text, digest, values, images, painted ({mask, labels}: path and digest), and what
-// is wrong with its images or else with it (error).
+// The open station as the server last described it: path, text, digest, values, images, painted ({mask, labels}: path and digest), and
+// error: what is wrong with its images, else with the station.
 export const state = { station: null };
 // Earlier and later states of its file, for undo and redo.
 let past = [];
 let future = [];
 
-// Takes over what the server says of the open station after opening or changing it.
+// Stores the server's description of the station after the station was opened or changed.
 export function take(station) {
   const before = state.station;
   if (before?.path !== station.path) [past, future] = [[], []];
@@ -33,7 +33,8 @@ function show(station) {
   return station;
 }
 
-// What opens, reads and changes the station's file, one after another: an answer is about the station that is open when it comes.
+// Requests that open, read or change the station's file run one after another. So each answer concerns the station that is open when it
+// arrives.
 let before = Promise.resolve();
 function inTurn(work) {
   const made = before.then(work);
@@ -41,7 +42,7 @@ function inTurn(work) {
   return made;
 }
 
-// Reads the open station again. What another program or page has changed is no step of this page's undo.
+// Reads the open station again. If another program or page has changed the file, this page's undo steps are dropped.
 export function reread() {
   return inTurn(async () => {
     const station = await ask('station', { path: state.station.path });
@@ -50,7 +51,7 @@ export function reread() {
   });
 }
 
-// A change of the station's file, after which it is read again if another program or page has changed it meanwhile.
+// Changes the station's file. If another program or page has changed the file meanwhile (409), the file is read again.
 export async function changing(work) {
   try {
     return await inTurn(work);
@@ -66,11 +67,11 @@ async function changingPage(work) {
   } catch (error) {
     if (error.status !== 409) throw error;
     await showAgain();
-    throw new Error(`${error.message}. It has been read again; please make your last change once more.`);
+    throw new Error(`${error.message}. The file has been read again; please make your last change once more.`);
   }
 }
 
-// The file as it was before its last change, or after the change that was undone last.
+// Restores the text of the file before its last change (undo) or after the change undone last (redo).
 async function step(from, to) {
   await changingPage(async () => {
     const text = from().at(-1);
@@ -96,8 +97,8 @@ export async function createStation(content) {
   await showPage('station');
 }
 
-// Changes values of the station file; what the server then says of it is the truth.
+// Changes values of the station file. The server's answer replaces the page's state.
 export const change = (changes) => changingPage(async () => take(await tell('set', { path: state.station.path, digest: state.station.digest, changes })));
 
-// Adds a profile that was picked on a result to the open station, if the result is of that.
+// Adds a profile that was picked on a result to the open station. The result must be one of this station.
 export const keepProfile = (work, ends) => changingPage(async () => take(await tell('keep', { path: state.station.path, digest: state.station.digest, work, ...ends })));

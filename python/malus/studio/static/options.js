@@ -1,4 +1,4 @@
-// The options that matter most, with what each means and what it may be; only what differs from the default is written.
+// The most important options with their meanings and allowed values. Only values that differ from the default are written.
 import { ask, byId, doing, make, tell } from './api.js';
 import { state } from './open_station.js';
 import { redraw } from './redraw.js';
@@ -8,7 +8,7 @@ export async function showOptions() {
 }
 
 function draw({ options, file }) {
-  byId('options-file').textContent = `What differs from the defaults is kept in ${file}, which every run of this station reads.`;
+  byId('options-file').textContent = `Options that differ from the defaults are stored in ${file}, which every run of this station reads.`;
   redraw(byId('option-list'), ...options.map(row));
 }
 
@@ -29,7 +29,7 @@ function row(option) {
     make('div', { class: 'says' }, make('p', { class: 'note', id: `${id}-help` }, make('code', {}, option.name), `: ${option.meaning.replace(/ …$/, '')}. Default: ${option.default}.`), says));
 }
 
-// A choice where the values are named, else text: numbers as numbers.
+// A list to choose from if the option has named values, else a text field, whose numbers are sent as numbers.
 function controlOf({ kind, value }, attributes, set) {
   const named = kind === 'true or false' ? ['true', 'false'] : /^("\w+"( \| )?)+$/.test(kind) ? kind.split(' | ').map((word) => word.slice(1, -1)) : null;
   if (named) {

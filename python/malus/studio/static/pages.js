@@ -1,12 +1,12 @@
-// Which part of the page is shown. It knows none of the parts: studio.js names them.
+// Switches between the parts of the page. studio.js registers the parts here.
 import { byId, doing, say } from './api.js';
 
 let pages = {};
 let current = 'images';
 let turn = 0;
 
-// Name → { show, enter, leave }: what draws the part, what is done before that when the user goes there, and what before another
-// part is shown; leave returns what went wrong, or nothing.
+// Name → { show, enter, leave }. show draws the part. enter runs before show, only when the user goes to the part. leave runs before
+// another part is shown, and returns an error message or nothing.
 export function setPages(all) {
   pages = all;
 }
@@ -24,7 +24,7 @@ export async function showPage(name, focus = true) {
   }
   document.title = `${byId(`${name}-title`).textContent} – Malus Studio`;
   if (focus) byId('main').focus();
-  byId(name).inert = true;  // What it showed before may be outdated: nothing is changed upon that.
+  byId(name).inert = true;  // Its present content may be outdated and must not be edited until it is redrawn.
   await doing(async () => {
     await pages[name].enter?.();
     if (mine === turn) await pages[name].show();

@@ -1,9 +1,9 @@
-// Drawing a part of the page anew while somebody works in it.
+// Redraws a part of the page while the user works in it.
 const CONTROLS = 'input, select, textarea, button';
 
 const controlsOf = (place) => [...place.querySelectorAll(CONTROLS)];
 
-// What a control is called, with its group: by that it is found again.
+// Label of a control with that of its group. It identifies the control after a redraw.
 function calledOf(control) {
   const name = control.getAttribute('aria-label') ?? control.labels?.[0]?.textContent ?? control.textContent;
   return `${control.closest('fieldset')?.querySelector('legend')?.textContent ?? ''}: ${name}`;
@@ -11,8 +11,9 @@ function calledOf(control) {
 
 const isText = (control) => control.tagName === 'INPUT' && !['checkbox', 'range'].includes(control.type);
 
-// Replaces what a place shows. The control that has the keyboard keeps it, and what is being typed stays: an answer may arrive
-// while somebody already fills in the next field. Nor is a button replaced that is pressed: it would never be released.
+// Replaces the children of `place`. The focused control keeps the focus and its typed text, because an answer may arrive while the
+// user already fills in the next field. While the pointer is pressed in `place`, the replacement waits: otherwise a pressed button
+// would get no click.
 export function redraw(place, ...children) {
   waiting.get(place)?.done();
   waiting.delete(place);
@@ -21,7 +22,8 @@ export function redraw(place, ...children) {
   return Promise.resolve();
 }
 
-// What the pointer presses, and what is to be shown in a place when it is released. Choices open by the press itself.
+// The element that is being pressed, and the children to show in each place after its release. Lists to choose from (select) open by
+// the press itself and do not count.
 let pressed = null;
 const waiting = new Map();
 document.addEventListener('pointerdown', (event) => { pressed = event.target.closest('select') ? null : event.target; }, { capture: true });
@@ -47,7 +49,7 @@ function replace(place, children) {
   const called = calledOf(old);
   const typed = isText(old) && old.value !== old.defaultValue ? old.value : null;
   const marked = isText(old) ? markedIn(old) : null;
-  // Browsers take its removal for the end of typing.
+  // Browsers send a change event when a focused field is removed, as if the user had finished typing.
   old.addEventListener('change', (event) => event.stopImmediatePropagation(), { capture: true });
   place.replaceChildren(...children);
   const now = controlsOf(place);
@@ -58,19 +60,19 @@ function replace(place, children) {
   if (marked) markAgain(same, marked);
 }
 
-// Where what is marked in a field begins and ends. Fields of numbers do not tell, but whether it is all of them.
+// Start and end of the selection in a field. Number fields do not report these; only whether all of their text is selected is known.
 function markedIn(field) {
   if (field.selectionStart !== null) return [field.selectionStart, field.selectionEnd];
   return field.value !== '' && String(document.getSelection()) === field.value ? [0, field.value.length] : null;
 }
 
-// What was marked stays marked: what is typed next replaces it, as if nothing had been drawn.
+// Restores the selection, so that the next typed letter replaces it as if nothing had been redrawn.
 function markAgain(field, [start, end]) {
   if (field.selectionStart !== null) field.setSelectionRange(start, end);
   else field.select();
 }
 
-// What a program puts into a field does not count as a change by the user: that is told when the field is left.
+// Restores typed text. Browsers send no change event for text set by a program, so it is sent here when the field is left.
 function goOnTyping(field, typed) {
   field.value = typed;
   let told = false;

@@ -1,11 +1,11 @@
-// Finished results: their figures, two beside each other or as two dates, profiles picked on a surface, and the report.
+// Finished results: their figures, comparison of two results or of two dates, profiles picked on a surface, and the report.
 import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
 import { keepProfile, state } from './open_station.js';
 import { showPage } from './pages.js';
 
 let all = [];
 const place = byId('result-view');
-// Says anew whether what is shown can be kept in the open station, which may have become another one.
+// Updates whether the shown profile can be kept in the open station, since another station may have been opened.
 let offer = () => {};
 
 export async function showResults() {
@@ -35,7 +35,7 @@ function line(result, tick) {
   return make('tr', {}, make('td', {}, result.problem ? null : make('input', { type: 'checkbox', 'aria-label': `Compare ${result.path}`, change: tick(result.path) })), make('th', { scope: 'row' }, result.path), ...cells);
 }
 
-// Shows something of the results below their table, and goes there: it may lie below what the window shows.
+// Shows `parts` below the table of results and scrolls to them, because they may lie below the visible part of the page.
 function present(title, ...parts) {
   const heading = make('h3', { tabindex: -1 }, title);
   place.replaceChildren(heading, ...parts);
@@ -44,7 +44,7 @@ function present(title, ...parts) {
 }
 
 export function showReport(work, address) {
-  present(`Report of ${work}`, make('p', {}, make('a', { href: address, target: '_blank', rel: 'noopener' }, 'Open it in a tab of its own')),
+  present(`Report of ${work}`, make('p', {}, make('a', { href: address, target: '_blank', rel: 'noopener' }, 'Open in a new tab')),
     make('iframe', { src: address, title: `Report of ${work}` }));
 }
 
@@ -64,7 +64,7 @@ async function showBoth([a, b]) {
   shown.append(twoDates(a, b));
 }
 
-// Two dates, from whatever places: the later surface is laid upon the earlier one first.
+// Comparison of two dates whose cameras may stand anywhere: the later surface is first registered to the earlier one.
 function twoDates(a, b) {
   const earlier = make('select', {}, ...[a, b].map((path) => make('option', { value: path }, path)));
   const still = make('input', { type: 'checkbox' });
@@ -73,15 +73,15 @@ function twoDates(a, b) {
     await showPage('runs');
   });
   return make('fieldset', {}, make('legend', {}, 'Two dates of one object'),
-    make('p', { class: 'note' }, 'The later surface is laid upon the earlier one by what did not change; a page shows what did, and from which size on it could be told.'),
-    make('p', { class: 'row' }, make('label', {}, 'The earlier one is ', earlier), make('label', {}, still, ' Both stand in one frame already: move nothing'),
+    make('p', { class: 'note' }, 'The later surface is registered to the earlier one on the parts that did not change. A page then shows the changes and the smallest change that could be detected.'),
+    make('p', { class: 'row' }, make('label', {}, 'The earlier one is ', earlier), make('label', {}, still, ' Both stand in one frame already: do not register them'),
       make('button', { type: 'button', click: find }, 'Find what changed')));
 }
 
 async function showProfile(result) {
   const start = [0.2 * result.width, 0.5 * result.height].map(Math.round), stop = [0.8 * result.width, 0.5 * result.height].map(Math.round);
   const inputs = [...start, ...stop].map((value, at) => make('input', { type: 'number', value, min: 0, 'aria-label': ['from x', 'from y', 'to x', 'to y'][at] }));
-  const picture = make('img', { src: addressOf('relief', { path: result.path }), alt: `Relief shading of ${result.path}; press two places to take a profile between them, or type their pixels below`, draggable: 'false' });
+  const picture = make('img', { src: addressOf('relief', { path: result.path }), alt: `Relief shading of ${result.path}; click two places to draw a profile between them, or type their pixel coordinates`, draggable: 'false' });
   const line = drawn('svg', { viewBox: `-0.5 -0.5 ${result.width} ${result.height}`, preserveAspectRatio: 'none', 'aria-hidden': 'true' });
   const picked = make('div', { class: 'picked' }, picture, line);
   const chart = make('div');
@@ -114,19 +114,19 @@ async function showProfile(result) {
     await keepProfile(result.path, ends());
     said.textContent = `Kept in ${state.station.path}; the next run reports it.`;
   }) }, 'Keep it in the open station');
-  // On another station's images the same pixels are another place.
+  // In the images of another station, the same pixels show another place.
   offer = () => {
     keep.disabled = !result.station || result.station !== state.station?.path;
-    said.textContent = !keep.disabled ? '' : result.station ? `To keep it for the next run, open ${result.station} first: this is a result of that station.`
-      : 'It cannot be kept: the station of this result does not lie in the opened folder.';
+    said.textContent = !keep.disabled ? '' : result.station ? `To keep it for the next run, open ${result.station} first: this result belongs to it.`
+      : 'The profile cannot be kept: the station of this result is not in the opened folder.';
   };
   offer();
-  present(`Profile on ${result.path}`, make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Press two places of the picture, or type their pixels.'),
+  present(`Profile on ${result.path}`, make('div', { class: 'pair' }, picked, make('div', {}, make('p', { class: 'note' }, 'Click two places in the picture, or type their pixel coordinates.'),
     make('p', { class: 'row' }, ...inputs.map((input) => make('label', {}, input.getAttribute('aria-label'), input)), make('button', { type: 'button', click: draw }, 'Draw'), keep), said, chart)));
   await draw();
 }
 
-// Two charts: heights of both surfaces, and what fusion changed, which is far too small to be seen in the first one.
+// Two charts: the heights of both surfaces, and their difference, which is too small to be seen in the first chart.
 function plots(section) {
   const changed = section.fused.map((value, at) => value === null || section.prior[at] === null ? null : value - section.prior[at]);
   return [chartOf(section, [[section.prior, 'var(--warn)', '5 3'], [section.fused, 'currentColor', '']], 'Height above the chord; dashed: prior, solid: fused'),
@@ -141,7 +141,7 @@ function drawn(tag, attributes, ...children) {
   return element;
 }
 
-// Round places on an axis: 1, 2 or 5 times a power of ten apart.
+// Ticks at round values of an axis, 1, 2 or 5 times a power of ten apart.
 function ticks(low, high, most) {
   const power = 10 ** Math.floor(Math.log10((high - low) / most));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((one) => (high - low) / one <= most);

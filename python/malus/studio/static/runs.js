@@ -7,9 +7,9 @@ import { showReport } from './results.js';
 
 const form = byId('start-run');
 let timer = null;
-const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; it goes on where it was when it is started again' };
+const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'done', failed: 'stopped by an error', canceled: 'canceled; Resume continues where the run stopped' };
 
-let tickedFor;  // the open station when stations were ticked: who opens another one means that one
+let tickedFor;  // the station that was open when stations were ticked; when another one is opened, only that one is ticked
 
 export async function showRuns() {
   const { stations } = await ask('candidates');
@@ -33,7 +33,7 @@ async function refresh() {
   clearTimeout(timer);
   const mine = ++asked;
   const runs = await ask('runs');
-  if (mine !== asked || byId('runs').hidden) return;  // A later answer says more, or is on its way.
+  if (mine !== asked || byId('runs').hidden) return;  // A later request has been sent, or this page is no longer shown.
   const list = byId('run-list');
   for (const run of [...runs].reverse()) {
     const old = list.querySelector(`[data-run="${run.number}"]`);
@@ -50,7 +50,7 @@ async function refresh() {
   if (runs.some((run) => run.state === 'waiting' || run.state === 'running')) timer = later(700);
 }
 
-// Looks again after a while; also if Studio does not answer, which is said.
+// Refreshes after a delay, and keeps trying if Studio does not answer; the error is shown.
 function later(ms) {
   timer = setTimeout(async () => {
     try {
@@ -71,7 +71,7 @@ function card(run) {
   return element;
 }
 
-// The log of a run while somebody reads it. Who has gone up in it stays there; else the newest line is seen.
+// Updates the log of a run if it is unfolded. It keeps showing the newest line, unless the user has scrolled up.
 async function showLog(element) {
   if (!element.querySelector('details').open) return;
   const log = element.querySelector('pre');
@@ -99,7 +99,7 @@ function update(element, run) {
   redraw(part('[data-buttons]'), ...buttons[run.state]);
 }
 
-// The keyboard stays with the run, which is a new one.
+// Starts a run again as a new run, and moves the keyboard focus to it.
 async function startAgain(run) {
   const { number } = await tell(run.asked.name, run.asked.body);
   await refresh();
@@ -109,7 +109,7 @@ async function startAgain(run) {
 const cancel = (run) => make('button', { type: 'button', click: doing(async () => { await tell('cancel', { number: run.number }); await refresh(); }) }, 'Cancel');
 
 form.addEventListener('submit', doing(async () => {
-  if (!chosen().length) throw new Error('Tick the stations that shall run.');
+  if (!chosen().length) throw new Error('Tick the stations to run.');
   try {
     for (const row of chosen()) await tell('run', { path: row.dataset.station, work: row.querySelector('[name=work]').value, fusion: form.elements.fusion.value });
   } finally {

@@ -1,4 +1,5 @@
-// The station's fields with what the checks say beside each, the coarse surface over the image, and the file itself.
+// The station's fields with the messages of the checks beside each field, the coarse surface over the image, and the text of the
+// station file.
 import { ask, byId, doing, duration, make, numberIn, say, tell } from './api.js';
 import { change, changing, reread, state, take } from './open_station.js';
 import { showPage } from './pages.js';
@@ -16,7 +17,7 @@ export async function showStation() {
 
 const under = (table, key) => state.station.values[table]?.[key];
 
-// A path of the station file as the page names it.
+// A path from the station file, which is relative to that file, as a path relative to the opened folder.
 function named(value) {
   if (!value) return '';
   const parts = state.station.path.split('/').slice(0, -1).concat(String(value).split('/'));
@@ -32,16 +33,16 @@ async function draw() {
   try {
     modelImages = model ? (await ask('model', { path: named(model) })).images : [];
   } catch {
-    modelImages = [];  // The check below says what is wrong with it.
+    modelImages = [];  // The check below reports what is wrong with the model.
   }
   const fresh = groups();
   fresh[0].querySelector('#catalog').open = byId('catalog')?.open ?? false;
   await redraw(byId('fields'), ...fresh);
   await propose();
-  check().catch((error) => say(error.message));  // Which takes its time, while the fields can be filled in already.
+  check().catch((error) => say(error.message));  // Not awaited: the check is slow, and the fields can be filled in meanwhile.
 }
 
-// Pictures that were made by the file as it was before, also those that are still being made.
+// Removes the pictures that were made from an earlier state of the file. The new number also discards those still being computed.
 let pictures = 0;
 function forgetPictures() {
   pictures += 1;
@@ -50,18 +51,18 @@ function forgetPictures() {
   byId('overlay-note').textContent = '';
 }
 
-// The text of the file, unless somebody is typing in it: then what it is typed upon.
+// Shows the text of the file, unless the user is editing it. typedUpon: the state of the file to which the edited text belongs.
 const fileText = byId('station-text');
 let typedUpon = null;
 function showText() {
   const { path, text: content, digest } = state.station;
   if (typedUpon?.path === path && fileText.value !== typedUpon.text) return;
   fileText.value = content;
-  typedUpon = { path, digest, text: fileText.value };  // Whose line ends are the browser's.
+  typedUpon = { path, digest, text: fileText.value };  // Read back from the field, because the browser changes the line ends.
 }
 
-// Of what lies in the opened folder, what is nearest to the station: below its own folder, or else below the one that holds that, and so on.
-// Other objects may lie beside it.
+// The files found that are nearest to the station: those below its own folder, else those below the parent folder, and so on. Files
+// farther away may belong to other objects.
 function nearest(found, pathOf) {
   const folders = state.station.path.split('/').slice(0, -1);
   for (let depth = folders.length; depth > 0; --depth) {
@@ -75,7 +76,7 @@ const nearestFirst = (found, pathOf = (path) => path) => {
   return [...near, ...found.filter((one) => !near.includes(one))];
 };
 
-// What lies near the station and is beyond doubt, to be taken over at once.
+// Offers the camera model and the coarse surface near the station for use with one press, if the choice is unambiguous.
 async function propose() {
   const place = byId('proposal');
   place.hidden = true;
@@ -107,18 +108,18 @@ const row = (field, title, control, help = '') => {
   if (help) control.setAttribute('aria-describedby', `${control.id}-help`);
   return make('div', { class: 'field' }, make('label', { for: control.id }, title), control, help ? make('div', { class: 'help', id: `${control.id}-help` }, help) : null, says(field));
 };
-// What stands in the file but is drawn: with the way there.
+// A field whose content is drawn on the image: shows its present content and a button that opens the Draw page.
 const drawn = (field, title, said, what) => row(field, title, make('output', {}, said, ' ', make('button', { type: 'button', class: 'link', click: () => { byId('draw-what').value = what; showPage('draw'); } }, 'draw')));
 
 const set = (changes) => {
   byId('plan').textContent = 'Saving …';
-  asked += 1;  // What an earlier check says is no longer of interest.
+  asked += 1;  // Discards the answer of an earlier check.
   return doing(async () => { await change(changes); await draw(); })();
 };
 const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
   change: doing((event) => set([{ table, key, value: kind === 'number' ? numberIn(event.target, true) : event.target.value || null }])) }), help);
 
-// A choice; the present value stays choosable even if it is not among the options.
+// A list to choose from. The present value is added if it is not among the options.
 function choice(field, title, present, options, onChange, help = '') {
   const values = options.map(([value]) => value);
   const all = values.includes(present) ? options : [[present, present], ...options];
@@ -138,7 +139,7 @@ const CATALOG = [['identifier', 'Inventory number'], ['title', 'Title'], ['maker
 
 function objectGroup() {
   return group('The object', text('station', 'Name of the object', 'station', 'name'),
-    choice('scale', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Of every length in the files and in the results.'),
+    choice('scale', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Unit of every length in the files and in the results.'),
     make('details', { id: 'catalog' }, make('summary', {}, 'For the catalog (goes into the results)'), ...CATALOG.map(([key, title]) => text('object', title, 'object', key))));
 }
 
@@ -149,9 +150,9 @@ function imagesGroup() {
   return group('The polarized images',
     row('images', 'Images', make('output', {}, Array.isArray(images) ? images.join(', ') : String(images))),
     row('angles', 'Angles [°]', make('input', { value: [under('polarized', 'angles_deg') ?? []].flat().join(', '), placeholder: 'from the names',
-      change: (event) => doing(() => set([{ table: 'polarized', key: 'angles_deg', value: anglesOf(event.target.value) }]))() }), 'What the filter\'s scale reads for each image; “auto” if nobody noted it.'),
+      change: (event) => doing(() => set([{ table: 'polarized', key: 'angles_deg', value: anglesOf(event.target.value) }]))() }), 'Reading of the filter\'s scale for each image; “auto” if the readings are unknown.'),
     choice('angles', 'Scale counts', under('polarized', 'angle_direction') ?? 'ccw', [['ccw', 'counter-clockwise, as the camera sees it'], ['cw', 'clockwise (read from behind the filter)']], (value) => set([{ table: 'polarized', key: 'angle_direction', value }])),
-    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', { kind: 'number', placeholder: '0', help: 'What the scale reads when the filter\'s axis is horizontal.' }),
+    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', { kind: 'number', placeholder: '0', help: 'Reading of the scale when the filter\'s axis is horizontal.' }),
     choice('response', 'Pixel values', under('polarized', 'response') ?? 'linear', [['linear', 'linear (RAW, scientific)'], ['srgb', 'sRGB (camera JPEG)'], ['gamma:2.2', 'gamma 2.2']], (value) => set([{ table: 'polarized', key: 'response', value }])),
     text('response', 'White level', 'polarized', 'white_level', { kind: 'number', placeholder: 'full scale', help: 'Pixel value at which the sensor saturates, if it is not the full scale of the file.' }),
     drawn('mask', 'Mask', under('polarized', 'mask') ?? 'none: the whole image is the object', 'mask'),
@@ -168,10 +169,10 @@ function surfaceGroup() {
   const setPrior = (chosen) => set(Object.keys(PRIORS).map((key) => ({ table: 'prior', key, value: chosen.startsWith(`${key}:`) ? chosen.slice(key.length + 1) : null, is_path: true })));
   const withImage = (name) => set([{ table: 'camera', key: 'image', value: name || null }]);
   return group('Camera and coarse surface',
-    choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(nearestFirst(candidates.models)), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Left out when the cameras are to be found from photographs.'),
+    choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(nearestFirst(candidates.models)), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Choose none if the cameras are to be computed from photographs.'),
     modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], withImage) : null,
-    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...nearestFirst(candidates.priors, ({ path }) => path).map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Left out when it is to be made from photographs.'),
-    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(nearestFirst(candidates.images)), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then made from them.'),
+    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...nearestFirst(candidates.priors, ({ path }) => path).map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Choose none if it is to be computed from photographs.'),
+    choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(nearestFirst(candidates.images)), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then computed from the photographs.'),
     drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length || 'none'), 'scale'),
     drawn('control', 'Control points', namesOf('control'), 'control'));
 }
@@ -216,7 +217,7 @@ async function check() {
 let view = null;
 byId('show-overlay').addEventListener('click', doing(async () => {
   const note = byId('overlay-note');
-  note.textContent = 'Looking where the surface lies in the image …';
+  note.textContent = 'Projecting the surface into the image …';
   const mine = pictures;
   try {
     const said = await ask('overlay', { path: state.station.path });
@@ -235,7 +236,7 @@ byId('show-overlay').addEventListener('click', doing(async () => {
       });
     };
     view.redraw();
-    note.textContent = `Yellow is near (${said.near}), violet is far (${said.far}). Edges and steps of the colors should lie on those of the image.`;
+    note.textContent = `Yellow is near (${said.near}), violet is far (${said.far}). Edges and steps in the colors should coincide with those in the image.`;
   } catch (error) {
     if (mine === pictures) note.textContent = error.message;
   }
@@ -250,8 +251,8 @@ byId('show-phases').addEventListener('click', doing(async () => {
     if (mine !== pictures) return;
     const words = `${said.message[0].toUpperCase()}${said.message.slice(1)}.${said.suggestion ? ` To do: ${said.suggestion}${/[?.]$/.test(said.suggestion) ? '' : '.'}` : ''}`;
     place.replaceChildren(make('p', { class: said.severity === 'note' ? 'note' : said.severity }, words), make('div', { class: 'maps' },
-      figure(said.measured, 'Phase as it was measured, in a circle of colors', 'Phase as it was measured, by direction and zero as they are set now'),
-      figure(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase that the coarse surface expects where it is matt. Where it mirrors, the opposite color is measured: red for blue, dark for light')));
+      figure(said.measured, 'Phase as it was measured, in a circle of colors', 'Measured phase, with the present direction and zero of the scale'),
+      figure(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase expected from the coarse surface if it is matte. On mirroring parts the opposite color is measured: red for blue, dark for light')));
   } catch (error) {
     if (mine === pictures) place.replaceChildren(make('p', { class: 'error' }, error.message));
   }
@@ -269,7 +270,7 @@ byId('save-text').addEventListener('click', doing(async () => {
     });
   } catch (error) {
     if (error.status === 409) {
-      error.message += '. What you have typed still stands here: read the file again to drop it, or save once more to replace the file.';
+      error.message += '. What you have typed still stands here: reload the file to discard it, or save once more to overwrite the file.';
       typedUpon.digest = state.station.digest;
     }
     throw error;

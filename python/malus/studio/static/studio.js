@@ -1,4 +1,4 @@
-// The page: its parts, and what leads from one to another.
+// Connects the parts of the page and the buttons that lead from one to another.
 import { byId, doing, say } from './api.js';
 import { leaveDrawing, showDrawing } from './draw.js';
 import { showFolder } from './images.js';

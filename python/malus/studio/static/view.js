@@ -1,8 +1,8 @@
-// An image that is zoomed and moved by OpenSeadragon, and a canvas over it to draw on in image pixels.
+// An image that OpenSeadragon zooms and moves, with a canvas over it for drawing in image pixels.
 /* global OpenSeadragon */
 import { addressOf, ask } from './api.js';
 
-// Side of the squares, as in pictures.py.
+// Side of the square tiles in pixels, as in pictures.py.
 const TILE = 512;
 
 export class ImageView {
@@ -16,13 +16,13 @@ export class ImageView {
     const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.viewer = OpenSeadragon({ element: holder, showNavigationControl: false, showNavigator: false, maxZoomPixelRatio: 24, imageSmoothingEnabled: true, drawer: 'canvas',
       animationTime: still ? 0 : 0.35, gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: false }, gestureSettingsTouch: { clickToZoom: false }, keyboardNavEnabled: false });
-    for (const element of holder.querySelectorAll('[tabindex]')) element.tabIndex = -1;  // The stage has the focus.
+    for (const element of holder.querySelectorAll('[tabindex]')) element.tabIndex = -1;  // Only the stage takes the keyboard focus.
     this.paint = () => {};
     this.viewer.addHandler('update-viewport', () => this.redraw());
     new ResizeObserver(() => this.redraw()).observe(stage);
   }
 
-  // Shows an image of the opened folder, in squares of as many pixels as the screen can show.
+  // Shows an image of the opened folder, in tiles whose resolution fits the screen.
   async open(path) {
     const { width, height } = await ask('size', { path });
     const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(width, height) / TILE)));
@@ -30,12 +30,12 @@ export class ImageView {
     return new Promise((resolve, reject) => {
       this.viewer.addOnceHandler('open', () => { this.size = { x: width, y: height }; resolve(); });
       this.viewer.addOnceHandler('open-failed', () => reject(new Error('The image cannot be shown.')));
-      // The squares are JPEGs. Addresses with .png in them would be taken for transparent ones, and lines be left between squares.
+      // The tiles are JPEGs. OpenSeadragon would take addresses with .png in them for transparent images and leave lines between tiles.
       this.viewer.open({ width, height, tileSize: TILE, minLevel: 0, maxLevel, getTileUrl, hasTransparency: () => false });
     });
   }
 
-  // Pixels of the image (0, 0 = middle of the first one) at a place of the stage, and back. OpenSeadragon counts from its corner.
+  // From a position on the stage to image pixels, and back. (0, 0) is the center of the first pixel here, its corner in OpenSeadragon.
   toImage(point) {
     const at = this.viewer.world.getItemAt(0).viewerElementToImageCoordinates(point);
     return [at.x - 0.5, at.y - 0.5];
@@ -46,7 +46,7 @@ export class ImageView {
     return [at.x, at.y];
   }
 
-  // Draws with coordinates of the image's pixels, counted from its corner.
+  // Calls `draw` with a context whose coordinates are image pixels, with (0, 0) at the image's corner.
   inImage(context, draw) {
     const [x0, y0] = this.toStage([-0.5, -0.5]);
     const [x1] = this.toStage([this.size.x - 0.5, -0.5]);
