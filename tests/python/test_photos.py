@@ -27,7 +27,7 @@ from malus._files import sha256_of
 from malus.photogrammetry import database, photo_cameras, scale, station_pose
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import Photo, list_photos, to_bytes
+from malus.photogrammetry.photos import Photo, list_photos, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -371,6 +371,19 @@ def test_photos_are_listed_in_natural_order_and_excluded_by_pattern(tmp_path: Pa
     photos = list_photos(tmp_path, ["blurred_*"])
     assert [photo.name for photo in photos] == ["p_9.png", "p_10.png", "sub/p_1.png"]
     assert (photos[0].width, photos[0].height) == (12, 8)
+
+
+def test_masks_beside_the_photos_or_above_them_are_no_photos(tmp_path: Path) -> None:
+    views = tmp_path / "views"
+    for name in ("a.jpg", "a.jpg.mask.png", "b.png", "b_mask.png", "sub/c.jpg", "sub/c.jpg.png", "d.jpg"):
+        (views / name).parent.mkdir(parents=True, exist_ok=True)
+        _core.write_png(str(views / name), np.zeros((8, 12), np.uint8))
+    names = ["a.jpg", "b.png", "d.jpg", "sub/c.jpg"]
+    photos = list_photos(views, [], views)
+    assert [photo.name for photo in photos] == names
+    masks = [photo.mask and photo.mask.name for photo in with_masks(photos, views)]
+    assert masks == ["a.jpg.mask.png", "b_mask.png", None, "c.jpg.png"]
+    assert set(names) < {photo.name for photo in list_photos(views, [], tmp_path)}
 
 
 def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Path) -> None:

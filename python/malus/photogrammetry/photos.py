@@ -92,6 +92,9 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     more files and folders than a station can have.
     """
     names = {}
+    # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
+    beside = masks is not None and masks == folder
+    inside = None if masks is None or beside or not masks.is_relative_to(folder) else masks
     for count, path in enumerate(folder.rglob("*")):
         if count == MOST_NAMES:
             raise InputError(
@@ -99,9 +102,12 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
             )
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
-        is_mask = masks is not None and masks != folder and masks in path.parents
+        is_mask = inside is not None and inside in path.parents
         if not (hidden or is_mask) and path.suffix.lower() in SUFFIXES and path.is_file():
             names[below.as_posix()] = path
+    if beside:
+        found = {mask for name in names for mask in _mask_names(name) if mask != name}
+        names = {name: path for name, path in names.items() if name not in found}
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
@@ -123,8 +129,10 @@ def photos_of(said: Mapping[str, Any]) -> list[Photo]:
     return photos if masks is None else with_masks(photos, masks)
 
 
-#: Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them.
-_MASK_NAMES = ("{path}.png", "{stem}.png", "{stem}_mask.png", "{path}.mask.png")
+def _mask_names(photo: str) -> list[str]:
+    """Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them."""
+    stem = photo[: -len(Path(photo).suffix)]
+    return [f"{photo}.png", f"{stem}.png", f"{stem}_mask.png", f"{photo}.mask.png"]
 
 
 def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
@@ -135,9 +143,8 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
     """
     found = []
     for photo in photos:
-        stem = photo.name[: -len(Path(photo.name).suffix)]
-        for pattern in _MASK_NAMES:
-            path = folder / pattern.format(path=photo.name, stem=stem)
+        for name in _mask_names(photo.name):
+            path = folder / name
             if path.is_file() and path != photo.path:
                 width, height = _core.image_size(str(path))
                 if (width, height) != (photo.width, photo.height):
