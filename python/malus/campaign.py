@@ -79,8 +79,9 @@ class Task:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
-            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run complains
-            files += sorted(path for path in below if path.is_file())
+            for folder in filter(None, (station["photos"]["folder"], station["photos"].get("masks"))):
+                below = islice(Path(folder).rglob("*"), MOST_NAMES)  # of more, the run complains
+                files += sorted(path for path in below if path.is_file())
         return files
 
 

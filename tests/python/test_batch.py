@@ -13,13 +13,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import malus.batch
 from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
-from malus.campaign import Campaign
+from malus.campaign import Campaign, Task
 from malus.options import Options
 
 CAMPAIGN = """
@@ -275,6 +276,22 @@ def test_stations_with_the_same_folder_name_stay_apart(tiny_station_source: Path
     (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["a/bust/station.toml", "b/bust/station.toml"]\n')
     tasks = Campaign.load(tmp_path / "campaign.toml").tasks(tmp_path / "out", 1)
     assert [task.identifier for task in tasks] == ["bust", "bust-2"]
+
+
+def test_a_station_is_done_only_while_the_masks_of_its_photos_are_unchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("views/a.jpg", "masks/a.jpg.png"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).touch()
+    said = {"files": [], "photos": {"folder": str(tmp_path / "views"), "masks": str(tmp_path / "masks")}}
+    station = SimpleNamespace(load=lambda path: SimpleNamespace(describe=lambda: said))
+    monkeypatch.setattr("malus.campaign.Station", station)
+    task = Task("a", str(tmp_path / "station.toml"), str(tmp_path), "{}", 1, False)
+    before = task.key()
+    assert task.key() == before
+    (tmp_path / "masks/a.jpg.png").write_bytes(b"changed")
+    assert task.key() != before
 
 
 def test_a_folder_with_brackets_in_its_name_is_no_pattern(tmp_path: Path) -> None:
