@@ -121,6 +121,7 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     if folder.exists() and not replace:
         raise InputError(f"{folder}: is there already, expected a new folder")
+    folder = resolved(folder)  # "." has no name to put a folder beside, and a link cannot be removed as a folder.
     with writing(folder), scratch_folder(folder) as scratch:
         new = scratch / "new"
         new.mkdir()

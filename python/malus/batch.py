@@ -138,7 +138,7 @@ def shard_of_environment() -> tuple[int, int] | None:
 def parse_shard(text: str) -> tuple[int, int]:
     """Parse the value `i/n` of --shard."""
     parts = text.split("/")
-    if len(parts) != 2 or not all(part.isdigit() for part in parts):
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
         raise InputError(f"--shard {text}, expected i/n such as 3/8")
     return checked_shard(int(parts[0]), int(parts[1]), f"--shard {text}")
 
@@ -157,7 +157,9 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
     failed = [outcome for outcome in outcomes if outcome["status"] == "failed"]
     if not failed:
         return None
-    lines = [f"{len(failed)} of {len(outcomes)} stations failed; the others are done"]
+    pending = sum(outcome["status"] == "pending" for outcome in outcomes)  # of other shards
+    waiting = f", {pending} {'is' if pending == 1 else 'are'} not run yet" if pending else ""
+    lines = [f"{len(failed)} of {len(outcomes)} stations failed{waiting}; the others are done"]
     lines += [f"  {outcome['station']}: {outcome['reason']}" for outcome in failed]
     return error_of(failed[0]["exit_code"])("\n".join(lines))
 

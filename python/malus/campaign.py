@@ -6,9 +6,11 @@ import difflib
 import glob
 import hashlib
 import json
+import os
 import re
 import tomllib
 import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -77,8 +79,9 @@ class Task:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
-            below = islice(Path(station["photos"]["folder"]).rglob("*"), MOST_NAMES)  # of more, the run complains
-            files += sorted(path for path in below if path.is_file())
+            for folder in filter(None, (station["photos"]["folder"], station["photos"].get("masks"))):
+                below = islice(Path(folder).rglob("*"), MOST_NAMES)  # of more, the run complains
+                files += sorted(path for path in below if path.is_file())
         return files
 
 
@@ -121,11 +124,12 @@ class Campaign:
             path.parent.name if path.stem == "station" else f"{path.parent.name}-{path.stem}" for path in self.stations
         ]
         identifiers: list[str] = []
+        like: Counter[str] = Counter()  # by name: identifiers that are this name, or this name with a number
         for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
-            count = sum(
-                name == other or re.fullmatch(re.escape(name) + r"-\d+", other) is not None for other in identifiers
-            )
-            identifiers.append(name if count == 0 else f"{name}-{count + 1}")
+            identifier = name if like[name] == 0 else f"{name}-{like[name] + 1}"
+            identifiers.append(identifier)
+            numbered = re.fullmatch(r"(.+)-\d+", identifier)
+            like.update([identifier] if numbered is None else [identifier, numbered[1]])
         if len(set(identifiers)) < len(identifiers):
             raise InputError(
                 f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"
@@ -224,7 +228,8 @@ def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, 
         raise InputError(f"{file}: {name}.stations {said}, expected a list of station files or globs")
     found: dict[Path, None] = {}
     for pattern in patterns:
-        if glob.has_magic(pattern):
+        # A file's own name is no pattern, even with brackets: "Bust [copy]/station.toml".
+        if glob.has_magic(pattern) and not os.path.exists(file.parent / pattern):
             matches = sorted(matching(file.parent, pattern, f"{file}: {name}.stations"))
             if not matches:
                 raise InputError(f"{file}: {name}.stations: no file matches {pattern!r}")

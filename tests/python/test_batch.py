@@ -13,13 +13,15 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import malus.batch
 from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
-from malus.campaign import Campaign
+from malus.campaign import Campaign, Task
+from malus.options import Options
 
 CAMPAIGN = """
 [campaign]
@@ -119,6 +121,16 @@ def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
     assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
+
+
+def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
+    def outcome(status: str) -> dict[str, object]:
+        return {"station": "a", "status": status, "reason": "no light" * (status == "failed"), "exit_code": 3}
+
+    outcomes = [outcome(status) for status in ("done", "failed", "pending", "pending")]
+    error = malus.batch.failure(outcomes)
+    assert "1 of 4 stations failed, 2 are not run yet; the others are done\n  a: no light" in str(error)
+    assert "1 of 2 stations failed; the others are done" in str(malus.batch.failure(outcomes[:2]))
 
 
 def test_a_station_is_done_only_while_its_inputs_and_results_are_unchanged(
@@ -250,7 +262,7 @@ def test_errors_in_campaign_files_are_explained(
     assert "Traceback" not in outcome.err
 
 
-@pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--jobs", "0"]])
+@pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--shard", "²/8"], ["--jobs", "0"]])
 def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, arguments: list[str]) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 1)
     outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)
@@ -264,6 +276,44 @@ def test_stations_with_the_same_folder_name_stay_apart(tiny_station_source: Path
     (tmp_path / "campaign.toml").write_text('[campaign]\nstations = ["a/bust/station.toml", "b/bust/station.toml"]\n')
     tasks = Campaign.load(tmp_path / "campaign.toml").tasks(tmp_path / "out", 1)
     assert [task.identifier for task in tasks] == ["bust", "bust-2"]
+
+
+def test_a_station_is_done_only_while_the_masks_of_its_photos_are_unchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("views/a.jpg", "masks/a.jpg.png"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).touch()
+    said = {"files": [], "photos": {"folder": str(tmp_path / "views"), "masks": str(tmp_path / "masks")}}
+    station = SimpleNamespace(load=lambda path: SimpleNamespace(describe=lambda: said))
+    monkeypatch.setattr("malus.campaign.Station", station)
+    task = Task("a", str(tmp_path / "station.toml"), str(tmp_path), "{}", 1, False)
+    before = task.key()
+    assert task.key() == before
+    (tmp_path / "masks/a.jpg.png").write_bytes(b"changed")
+    assert task.key() != before
+
+
+def test_a_folder_with_brackets_in_its_name_is_no_pattern(tmp_path: Path) -> None:
+    for name in ("bust [1]", "bust 1"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "station.toml").touch()
+    for stations, found in (("bust [1]/station.toml", ["bust [1]"]), ("bust [0-9]/station.toml", ["bust 1"])):
+        (tmp_path / "campaign.toml").write_text(f'[campaign]\nstations = ["{stations}"]\n')
+        assert [path.parent.name for path in Campaign.load(tmp_path / "campaign.toml").stations] == found
+
+
+def test_thousands_of_stations_are_named_at_once() -> None:
+    def campaign(folders: list[str]) -> Campaign:
+        return Campaign(
+            "many", tuple(Path(f"/{k}/{name}/station.toml") for k, name in enumerate(folders)), Options(), False
+        )
+
+    names = [task.identifier for task in campaign(["a", "a-2", "a", "a", "b-1", "b-1", "b", "a-2"]).tasks("out", 1)]
+    assert names == ["a", "a-2", "a-3", "a-4", "b-1", "b-1-2", "b-2", "a-2-2"]
+    start = time.process_time()
+    assert len(set(task.identifier for task in campaign([f"o{k}" for k in range(5000)]).tasks("out", 1))) == 5000
+    assert time.process_time() - start < 10  # 0.1 s; with a comparison of each name with all others 40 s
 
 
 @needs_distributed

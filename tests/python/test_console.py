@@ -187,6 +187,7 @@ def test_help_has_no_equation_or_figure_numbers() -> None:
             "none.json: no such file, expected one that `malus chart`",
         ),
         ("studio FOLDER/station.toml", "is a file, expected its folder: FOLDER"),
+        ("studio FOLDER --port 70000", "--port 70000, expected 0 to 65535"),
         ("import FOLDER -o FOLDER/station.txt", "expected a name for the station file that ends in .toml"),
         ("run FOLDER/object.toml -o FOLDER/w", "`malus object FOLDER/object.toml -o DIR` runs it"),
         ("check FOLDER/campaign.toml", "`malus batch FOLDER/campaign.toml -o DIR` runs it"),

@@ -176,6 +176,25 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
         assert not (folder / "other.toml").exists()
 
 
+def test_cameras_of_one_label_are_told_apart(folder: Path, tmp_path: Path) -> None:
+    project = tmp_path / "cameras.xml"
+    project.write_text(
+        METASHAPE.replace(
+            '<camera id="1" label="b"',
+            '<camera id="7" label="shot_0.png" sensor_id="0" component_id="0"><transform>0 0 1 9  1 0 0 2  0 1 0 3  0 0 0 1'
+            '</transform></camera><camera id="1" label="b"',
+        )
+    )
+    assert list(malus.photogrammetry.read_metashape(project)) == ["shot_0.png (camera 0)", "shot_0.png (camera 7)"]
+    image(folder / "shot_0.png")
+    arguments = ("import", folder, "-o", tmp_path / "station.toml", "--angles", "0", "--metashape", project, "--label")
+    outcome = malus_here(*arguments, "shot_0")
+    assert (
+        outcome.code == 2 and "2 aligned cameras 'shot_0', expected one; there are shot_0.png (camera 0)" in outcome.err
+    )
+    assert malus_here(*arguments, "shot_0.png (camera 7)").code == 0
+
+
 @pytest.mark.parametrize(
     ("files", "arguments", "message"),
     [

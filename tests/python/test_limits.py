@@ -24,7 +24,7 @@ from PIL import Image
 
 from conftest import Outcome, edit, half_written, malus, malus_here, malus_station
 from malus import _core, _patterns
-from malus._files import read_record, replacing, scratch_folder, write_record
+from malus._files import new_folder, read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
 from malus.batch import _as_text
 from malus.encoding import Encoding, encoding_of
@@ -294,6 +294,17 @@ def test_folders_that_a_killed_writer_left_are_removed_by_the_next(tmp_path: Pat
             assert set(tmp_path.iterdir()) == {held, of_other, scratch, another}
     os.close(descriptor)
     assert set(tmp_path.iterdir()) == {held, of_other}
+
+
+def test_the_working_folder_and_a_linked_one_can_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "linked").symlink_to(tmp_path / "out")
+    monkeypatch.chdir(tmp_path / "out")
+    for said in (Path(), tmp_path / "linked"):
+        with new_folder(said, replace=True) as new:
+            (new / "result").write_text(str(said))
+        assert (tmp_path / "out/result").read_text() == str(said)
+    assert (tmp_path / "linked").is_symlink() and len(list(tmp_path.iterdir())) == 2
 
 
 def test_thousands_of_images_are_answered_soon(small_station: Path, tmp_path: Path) -> None:

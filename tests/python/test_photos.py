@@ -24,10 +24,10 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, photo_cameras
+from malus.photogrammetry import database, photo_cameras, scale, station_pose
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import list_photos, photos_of, to_bytes
+from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -394,6 +394,69 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(package.InputError, match="has no mask of any photo, expected for example a.jpg.png"):
         photos_of({**said, "masks": str(empty), "exclude": ["*.png"]})
+
+
+def test_masks_beside_the_photos_or_above_them_are_no_photos(tmp_path: Path) -> None:
+    views = tmp_path / "views"
+    for name in ("a.jpg", "a.jpg.mask.png", "b.png", "b_mask.png", "sub/c.jpg", "sub/c.jpg.png", "d.jpg"):
+        (views / name).parent.mkdir(parents=True, exist_ok=True)
+        _core.write_png(str(views / name), np.zeros((8, 12), np.uint8))
+    names = ["a.jpg", "b.png", "d.jpg", "sub/c.jpg"]
+    photos = list_photos(views, [], views)
+    assert [photo.name for photo in photos] == names
+    masks = [photo.mask and photo.mask.name for photo in with_masks(photos, views)]
+    assert masks == ["a.jpg.mask.png", "b_mask.png", None, "c.jpg.png"]
+    assert set(names) < {photo.name for photo in list_photos(views, [], tmp_path)}
+
+
+def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Path) -> None:
+    for name in ("p_1.png", "p_1 [edited].png", "sub/p_2 [edited].png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
+    photos = list_photos(tmp_path, ["p_1 [edited].png", "sub/p_2 [edited].png"])
+    assert [photo.name for photo in photos] == ["p_1.png"]
+
+
+def test_a_photo_whose_name_is_not_utf8_is_named(tmp_path: Path) -> None:
+    _core.write_png(str(tmp_path / "p.png"), np.zeros((8, 12), np.uint8))
+    (tmp_path / "p.png").rename(tmp_path / os.fsdecode(b"B\xfcste.png"))
+    with pytest.raises(package.InputError, match=r"B\\xfcste.png: this name is not in UTF-8"):
+        list_photos(tmp_path, [])
+    assert list_photos(tmp_path, ["B*ste.png"]) == []
+
+
+def test_names_of_all_scripts_fit_into_colmaps_files() -> None:
+    for name in ("国" * 80 + ".jpg", "Я" * 120 + ".jpg", "a b%20\u2028c\u3000d/\u00e9 1².png"):
+        quoted = database.quoted(name)
+        assert database.unquoted(quoted) == name
+        assert len(quoted.encode()) <= 255 and len(quoted.split()) == 1 == len(quoted.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "lens", "found", "adjusted"), [(True, False, 1, 0), (False, False, 1, 1), (True, True, 0, 0)]
+)
+def test_a_calibrated_lens_of_the_photos_is_not_adjusted(
+    calibrated: bool, lens: bool, found: int, adjusted: int
+) -> None:
+    """Not for a station of unknown lens either, whose own lens is sought."""
+    known = package.Camera("PINHOLE", 3, 2, [5.0, 5.0, 1.0, 0.5]) if lens else None
+    view = station_pose.StationView(np.zeros((2, 3), np.float32), known)
+    mapper, adjustment = station_pose._lens_options({"station.png": view}, calibrated)
+    assert set(mapper.values()) == {found}
+    assert (
+        adjustment["BundleAdjustment.refine_focal_length"]
+        == adjusted
+        == adjustment["BundleAdjustment.refine_extra_params"]
+    )
+
+
+def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = {"a": [(3, 10.0, 20.0), (3, 500.0, 90.0), (7, 30.0, 40.0)], "b": [(3, 11.0, 21.0)]}
+    monkeypatch.setattr(scale, "read_gray", lambda path: path.name)
+    monkeypatch.setattr(scale, "to_bytes", lambda name, gamma: name)
+    monkeypatch.setattr(scale, "_core", SimpleNamespace(detect_targets=lambda name, dictionary: seen[name]))
+    photos = [Photo(name, Path(name), 640, 480) for name in seen]
+    assert scale.find_targets(photos, "aruco_4x4_50") == {7: [("a", 30.0, 40.0)], 3: [("b", 11.0, 21.0)]}
 
 
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:

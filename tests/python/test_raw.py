@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,8 @@ from conftest import malus as run_malus
 from conftest import malus_station
 from malus import raw
 from malus._files import sha256_of
+from malus.photogrammetry import front_end
+from malus.photogrammetry.photos import describe_photo
 
 BLACK, WHITE = 512, 16383
 ANGLES = (0, 45, 90, 135)
@@ -105,6 +109,19 @@ def test_the_bytes_that_are_hashed_are_developed(station: Path, tmp_path: Path) 
     content, pixels = path.read_bytes(), raw.linear_image(path)
     write_dng(path, scene(0) * 0.5)
     np.testing.assert_array_equal(raw.linear_image(path, content), pixels)
+
+
+def test_the_lens_of_raw_files_is_looked_for_among_the_photos(tmp_path: Path) -> None:
+    """A station without [camera]: its first image may be a RAW file."""
+    pytest.importorskip("rawpy")
+    write_dng(tmp_path / "pol_000.dng", scene(0))
+    same = describe_photo(tmp_path / "pol_000.dng", "view.jpg")
+    assert (same.height, same.width) == SIZE
+    other = replace(same, name="other.jpg", focal_px=123.0)
+    said = {"images": [str(tmp_path / "pol_000.dng")]}
+    for photos, name in (([other, same], "view.jpg"), ([other], None)):
+        model: Any = SimpleNamespace(images={photo.name: None for photo in photos})
+        assert front_end._photo_of_same_camera(said, photos, model, SIZE, lambda _level, _message: None) == name
 
 
 def test_the_archive_has_the_raw_files_that_were_developed(small_station: Path, tmp_path: Path) -> None:

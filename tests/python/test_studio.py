@@ -16,16 +16,18 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from malus import InputError, Station, _core
+from malus import Camera, InputError, Station, _core
 from malus.figures import encode
+from malus.options import Options
 from malus.photogrammetry.model import SparseModel
+from malus.station_import import _quaternion
 from studio_browser import (
     PATIENCE_MS,
     RUN_MS,
@@ -230,6 +232,17 @@ def test_results_lie_as_deep_as_their_stations(served: Served) -> None:
     assert "2026/castle/hall/station.toml" in served.asked("candidates")["stations"]
     assert "2026/castle/hall/station_work" in [result["path"] for result in served.asked("results")]
     shutil.rmtree(served.folder / "2026")
+
+
+def test_names_with_digits_of_other_kinds_are_listed(tmp_path: Path) -> None:
+    """① and ² count as digits, but not as numbers."""
+    from malus.studio.access import Root
+
+    folders = importlib.import_module("malus.studio.folders")
+    for name in ("②001.png", "①010.png", "①9.png", "5².png"):
+        (tmp_path / name).write_bytes((EXAMPLE / "pol" / "pol_000.png").read_bytes())
+    listed = folders.listing(Root(tmp_path), "")["images"]
+    assert [image["name"] for image in listed] == ["5².png", "①9.png", "①010.png", "②001.png"]
 
 
 def test_a_manifest_of_something_else_is_no_result(tmp_path: Path) -> None:
@@ -463,6 +476,37 @@ def test_raw_files_become_a_station(served: Served) -> None:
     shutil.rmtree(folder)
 
 
+def test_a_preview_knows_the_exposure_times(tmp_path: Path) -> None:
+    import tifffile
+
+    from malus.studio.preview import preview
+
+    angles, exposures = (0.0, 45.0, 90.0, 135.0), (0.1, 0.2, 0.1, 0.4)
+    for angle, seconds in zip(angles, exposures, strict=True):
+        intensity = scene(angle) * seconds
+        tifffile.imwrite(tmp_path / f"{angle:.0f}.tif", np.rint(65535 * intensity).astype(np.uint16))
+    paths = [tmp_path / f"{angle:.0f}.tif" for angle in angles]
+    maps = preview(paths, angles, direction="ccw", zero_deg=0, response="linear", exposure_s=exposures)
+    assert maps["degree_median"] == pytest.approx(0.2, abs=0.01)
+    assert not [finding for finding in maps["findings"] if finding["severity"] != "note"]
+
+
+@pytest.mark.parametrize("response", ["linear", "srgb", "gamma:2.2"])
+def test_a_preview_of_images_that_are_negative_in_the_dark(tmp_path: Path, response: str) -> None:
+    import tifffile
+
+    from malus.studio.preview import preview
+
+    noise = np.random.default_rng(1)
+    paths = []
+    for angle in ANGLES:
+        intensity = np.pad(scene(angle), ((0, 0), (0, 40))) + noise.normal(0, 1e-3, (48, 104))
+        paths.append(tmp_path / f"{angle}.tif")
+        tifffile.imwrite(paths[-1], intensity.astype(np.float32))
+    maps = preview(paths, ANGLES, direction="ccw", zero_deg=0, response=response)
+    assert maps["intensity"].startswith("data:image/") and 0 < maps["degree_median"] < 1
+
+
 def test_wrong_requests_are_answered_in_words(served: Served) -> None:
     for name, body, words in (
         ("create", {"path": "a.txt", "images": [], "angles_deg": []}, "ends in .toml"),
@@ -533,6 +577,50 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
             pictures.tile(path, *place)
 
 
+def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    from malus.studio import masks, pictures
+
+    painted = np.zeros((300, 400), np.uint8)
+    painted[100:200, 150:250] = 255
+    Image.fromarray(painted).save(tmp_path / "large.jpg")
+    Image.fromarray(painted).save(tmp_path / "named_otherwise.jpg", "PNG")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)  # instead of 89 million
+    for name in ("large.jpg", "named_otherwise.jpg"):
+        assert pictures.thumbnail(tmp_path / name).startswith(b"\xff\xd8")
+    assert (masks.decode(encode(painted, "PNG"), (400, 300)) == painted).all()
+    for content, words in ((encode(painted, "PNG"), "expected 9 x 9"), (b"no image", "is no PNG"), (b"", "is no PNG")):
+        with pytest.raises(InputError, match=words):
+            masks.decode(content, (9, 9))
+
+
+def test_a_mask_in_any_color_is_shown(tmp_path: Path) -> None:
+    from PIL import Image
+
+    from malus.studio import masks
+
+    green = np.zeros((6, 8, 3), np.uint8)
+    green[2:4, 3:5, 1] = 128
+    Image.fromarray(green).save(tmp_path / "mask.png")
+    with Image.open(io.BytesIO(masks.read(tmp_path / "mask.png"))) as shown:
+        assert ((np.asarray(shown) != 0) == (green[..., 1] != 0)).all()
+
+
+@pytest.mark.parametrize("white", [0.3, 4095])
+def test_floating_point_images_are_shown_as_bright_as_others(tmp_path: Path, white: float) -> None:
+    import tifffile
+
+    from malus.studio import pictures
+
+    values = np.tile(np.linspace(0, white, 300, dtype=np.float32), (200, 1))
+    values[0, 0] = np.nan
+    tifffile.imwrite(tmp_path / "linear.tif", values)
+    shown = pictures.displayed(tmp_path / "linear.tif")
+    assert shown[100, 0, 0] == 0 and abs(int(shown[100, 150, 0]) - round(255 * 0.5 ** (1 / 2.2))) < 3
+    assert shown[100, -1, 0] == 255 and shown[0, 0, 0] == 0
+
+
 def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     """A dark disc with highlights on ground with dark pebbles, painted roughly."""
     import tifffile
@@ -555,6 +643,22 @@ def test_the_edge_that_is_found_has_no_specks(tmp_path: Path) -> None:
     assert (object_ != disc)[np.abs(away - 70) > 3].sum() == 0
 
 
+def test_the_edge_of_a_large_image_is_not_shifted(tmp_path: Path) -> None:
+    import tifffile
+    from PIL import Image
+
+    from malus.studio import masks
+
+    v, u = np.mgrid[:400, :6000]
+    away = np.hypot(u - 4000, v - 200)
+    seen = np.where(away < 120, 60, 200).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "disc.tif", seen)
+    hints = np.where(away < 180, 3, 0).astype(np.uint8)
+    with Image.open(io.BytesIO(masks.cut_out(tmp_path / "disc.tif", hints, 2))) as found:
+        rows, columns = np.nonzero(np.asarray(found))
+    assert abs(columns.mean() - 4000) < 1 and abs(rows.mean() - 200) < 1
+
+
 def test_where_no_edge_is_found_what_is_painted_stays(tmp_path: Path) -> None:
     import tifffile
 
@@ -566,6 +670,108 @@ def test_where_no_edge_is_found_what_is_painted_stays(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "same.tif", seen)
     with pytest.raises(DataError, match="no edge was found by color"):
         masks.cut_out(tmp_path / "same.tif", np.where(np.hypot(u - 160, v - 120) < 20, 3, 0).astype(np.uint8), 2)
+
+
+class Slope:
+    """A result: a plane at 45°, nearer by half a unit along the depth in the middle of the fused surface; no surface at the left."""
+
+    quality: ClassVar[dict[str, Any]] = {"unit": "mm", "gsd": 0.1}
+    camera = Camera("PINHOLE", 300, 200, [3000.0, 3000.0, 150.0, 100.0])
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def raster(self, name: str) -> np.ndarray:
+        u = np.tile(np.arange(300), (200, 1))
+        depth = 300 / (1 - (u - 150) / 3000)
+        if name == "fused/depth.tif":
+            depth[np.abs(u - 150) < 20] -= 0.5
+        return np.where(u < 20, np.nan, depth).astype(np.float32)
+
+
+def test_a_profile_that_is_picked_is_the_one_that_the_report_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from malus.studio import results
+
+    monkeypatch.setattr(results, "Workspace", Slope)
+    said = results.profile(tmp_path, (20, 100), (280, 100))
+    ends = [np.array([(u - 150) / 3000, 0, 1]) * 300 / (1 - (u - 150) / 3000) for u in (20, 280)]
+    assert said["along"][-1] == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-4)
+    assert max(said["fused"]) == pytest.approx(0.5 / np.sqrt(2), abs=0.01)
+    assert np.abs(said["prior"]).max() < 1e-3
+    assert results.profile(tmp_path, (5, 100), (280, 100))["fused"][:15] == [None] * 15
+    with pytest.raises(InputError, match="leaves the picture of 300 x 200 pixels"):
+        results.profile(tmp_path, (5, 100), (299.6, 100))
+
+
+def test_a_kept_profile_gets_a_name_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two were kept, and the first one was removed."""
+    from malus.studio import results
+    from malus.studio.app import Studio
+
+    (tmp_path / "work").mkdir()
+    text = '[polarized]\nimages = "pol"\n\n[[profile]]\nname = "picked 2"\nfrom = [1, 1]\nto = [9, 9]\n'
+    (tmp_path / "station.toml").write_text(text)
+    monkeypatch.setattr(results, "station_of", lambda root, work: "station.toml")
+    studio = Studio(tmp_path, 1)
+    said = studio._station({"path": "station.toml"})
+    kept = studio._keep(
+        {"path": "station.toml", "work": "work", "digest": said["digest"], "from": [2, 2], "to": [8, 8]}
+    )
+    studio.runs.close()
+    assert [profile["name"] for profile in kept["values"]["profile"]] == ["picked 2", "picked 3"]
+
+
+def test_comparisons_of_results_in_deep_folders_have_names_that_can_be_written(tmp_path: Path) -> None:
+    from malus.studio import results
+    from malus.studio.access import Root
+
+    works = [
+        tmp_path / "Ausgrabung_Tübingen_Österberg" / ("Schicht_" * 12) / name
+        for name in ("2025_work", "2026_work", "w")
+    ]
+    for work in works:
+        work.mkdir(parents=True)
+    root = Root(tmp_path)
+    folders = [results.folder_of_comparison(root, works[k], works[0]) for k in (1, 2)]
+    for folder in folders:
+        folder.with_name(f".{folder.name}.partial-0123456789abcdef").mkdir()
+    assert len(set(folders)) == 2 and results.folder_of_comparison(root, works[1], works[0]) == folders[0]
+
+
+def test_places_of_a_national_grid_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from malus.studio import results
+
+    class InGrid(Slope):
+        @property
+        def pose(self) -> tuple[np.ndarray, np.ndarray]:
+            north = {"here": 5933000.0, "also_here": 5933000.0, "a_step_aside": 5933001.0}[self.folder.name]
+            return np.eye(3), np.array([-566000.0, -north, 12.0])
+
+    monkeypatch.setattr(results, "Workspace", InGrid)
+    assert results.difference(tmp_path / "here", tmp_path / "also_here")["rms"] == 0
+    with pytest.raises(InputError, match="not taken from the same place"):
+        results.difference(tmp_path / "here", tmp_path / "a_step_aside")
+
+
+def test_photos_in_folders_are_marked_by_the_names_that_the_run_gives_them(tmp_path: Path, served: Served) -> None:
+    from malus.studio import folders
+    from malus.studio.access import Root
+
+    for name in ("p10.png", "p9.png", "left/p9.png", "notes.txt", "raw.dng", "blurred.png", "masks/p9.png"):
+        (tmp_path / "views" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "views" / name).write_bytes(b"")
+    values = {"photos": {"folder": "views", "exclude": ["blurred*"], "masks": "views/masks"}}
+    assert folders.photos_of(Root(tmp_path), tmp_path / "station.toml", values) == [
+        {"path": f"views/{name}", "image": name} for name in ("left/p9.png", "p9.png", "p10.png")
+    ]
+    (served.folder / "marked.toml").write_text('[camera]\ncolmap_model = "sparse"\nimage = "station.jpg"\n')
+    of_model = served.asked("photos?path=marked.toml")
+    assert {photo["path"]: photo["image"] for photo in of_model} == {
+        f"views/{name}": name for name in ("view_00.jpg", "view_04.jpg", "view_08.jpg")
+    }
+    (served.folder / "marked.toml").unlink()
 
 
 def test_marks_are_judged_at_once(served: Served) -> None:
@@ -581,15 +787,23 @@ def test_marks_are_judged_at_once(served: Served) -> None:
         return {"image": name, "x": fx * x / z + cx, "y": fy * y / z + cy}
 
     bar = {"distance": float(np.linalg.norm(ends[1] - ends[0])), **{end: [seen(n, p) for n in names] for end, p in zip("ab", ends, strict=True)}}  # fmt: skip
-    found = marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")
+    found = marks.examined(served.folder / "sparse", [bar], names[2], 0, "a", Options())
     assert not found["problem"] and len(found["lines"]) == 2
     mark = bar["a"][2]
     for line in found["lines"]:
         assert min(np.hypot(x - mark["x"], y - mark["y"]) for x, y in line) < 20
     assert found["fits"][1]["worst_px"] < 0.01
     mark["x"] += 8
-    assert marks.examined(served.folder / "sparse", [bar], names[2], 0, "a")["fits"][1]["worst_px"] > 1
-    assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a")["problem"]
+    assert marks.examined(served.folder / "sparse", [bar], names[2], 0, "a", Options())["fits"][1]["worst_px"] > 1
+    assert "not known yet" in marks.examined(None, [bar], names[2], 0, "a", Options())["problem"]
+    second = {**bar, "distance": 1.01 * bar["distance"]}  # with marks that are less sure, both share the contradiction
+    lengths = [
+        marks.examined(
+            served.folder / "sparse", [bar, second], names[2], 0, "a", Options(photos={"mark_sigma_px": sigma})
+        )["fits"][1]["worst_px"]
+        for sigma in (0.01, 10)
+    ]
+    assert lengths[0] < lengths[1]
 
 
 def test_control_points_are_judged_at_once(small_station: Path) -> None:
@@ -603,10 +817,13 @@ def test_control_points_are_judged_at_once(small_station: Path) -> None:
         pixel = [float(np.clip(fx * x / z + cx, 0, 199)), float(np.clip(fy * y / z + cy, 0, 159))]
         text += f'\n[[control]]\nname = "{name}"\nxyz = {point.tolist()}\npixel = {pixel}\n'
     small_station.write_text(text)
-    said = marks.control(small_station, None, "", "A")
+    said = marks.control(small_station, None, "", "A", Options())
     assert not said["problem"] and said["image"]["use"] == "check" and len(said["image"]["points"]) == 3
     small_station.write_text(text.replace("pixel = [", "pixel = [9"))
-    assert "expected a place within the polarized image" in marks.control(small_station, None, "", "A")["problem"]
+    assert (
+        "expected a place within the polarized image"
+        in marks.control(small_station, None, "", "A", Options())["problem"]
+    )
 
 
 def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> None:
@@ -630,6 +847,24 @@ def test_direction_and_zero_are_told_by_the_coarse_surface(tmp_path: Path) -> No
     station.write_text(re.sub(r"(?m)^angles_deg = .*$", 'angles_deg = "auto"', text))
     with pytest.raises(InputError, match="with all angles given"):
         phases.compared(Station.load(station), 2)
+
+
+def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -> None:
+    """The first parameter of BROWN is its focal length in mm."""
+    phases = pytest.importorskip("malus.studio.phases")
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("views"))
+    station = folder / "station.toml"
+    given = Station.load(station).describe()["camera"]
+    width, height, (focal, _, cx, cy) = given["width"], given["height"], given["params"]
+    lens = (
+        f'[camera]\nmodel = "BROWN"\nwidth = {width}\nheight = {height}\nfocal_mm = {0.006 * focal}\npixel_mm = 0.006\n'
+        f"x0_mm = {0.006 * (cx - (width - 1) / 2)}\ny0_mm = {-0.006 * (cy - (height - 1) / 2)}\n"
+        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+    )
+    station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
+    said = phases.compared(Station.load(station), 2)
+    assert said["severity"] == "note" and "fits the slopes" in said["message"]
 
 
 # ---- the whole way in a browser ----

@@ -1,6 +1,6 @@
 """COLMAP's database, of 3.x and 4.x: counts features and verified pairs, since exit codes do not tell whether there are any; stores matches.
 
-Image names in the database are percent-encoded as in a URL, so that spaces do not break COLMAP's lists.
+Image names in the database are percent-encoded as in a URL, except for letters, so that spaces do not break COLMAP's lists.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ _PAIR_BASE = 2147483647
 
 def quoted(name: str) -> str:
     """The name in COLMAP's files of an image."""
-    return quote(name, safe="/")
+    # Letters of all scripts stay: encoded, each takes up to nine bytes, and the copy's name could exceed the 255 that files may have.
+    return "".join(sign if sign.isalnum() else quote(sign, safe="/") for sign in name)
 
 
 def unquoted(name: str) -> str:

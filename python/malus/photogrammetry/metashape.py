@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +88,8 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
 
     World frame and unit follow from the transform of a camera's component (in versions that divide chunks into components), else from
     the transform of the chunk; without a transform they are the chunk's own. Cameras without a position are left out. Poses are
-    returned as cam_from_world, lenses as FULL_OPENCV. Raises InputError naming file and element.
+    returned as cam_from_world, lenses as FULL_OPENCV. Labels that several cameras share, such as DSC_0001 of two memory cards, get
+    the cameras' numbers: "DSC_0001 (camera 7)". Raises InputError naming file and element.
     """
     file = Path(path)
     try:
@@ -110,11 +112,14 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
         if sensor.find("calibration") is not None
     }
     cameras: dict[str, Camera] = {}
-    for element in source.iter("camera"):
+    placed = [element for element in source.iter("camera") if element.find("transform") is not None]
+    shared = Counter(element.get("label") for element in placed)
+    for element in placed:
         transform = element.find("transform")
-        if transform is None:
-            continue
+        assert transform is not None
         label = element.get("label") or str(element.get("id"))
+        if shared[element.get("label")] > 1:
+            label = f"{label} (camera {element.get('id')})"
         where = f'{file}: camera "{label}"'
         if element.get("sensor_id") not in lenses:
             raise InputError(f"{where} has sensor {element.get('sensor_id')!r}, which has no calibration")

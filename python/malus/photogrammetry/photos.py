@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags
 
-from malus import _core
+from malus import _core, raw
+from malus._files import require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, tags_of
@@ -77,20 +78,23 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
 
 
 def describe_photo(path: Path, name: str) -> Photo:
-    """Size and EXIF data of one file. Raises InputError if the file is not a readable image."""
-    width, height = _core.image_size(str(path))
+    """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
+    width, height = raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))
     maker, focal_px = _exif(path, width, height)
     return Photo(name, path, width, height, maker, focal_px)
 
 
-def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> list[Photo]:
-    """The photos below a folder in natural order of their names (PNG, TIFF, JPEG), without those whose name or path
-    below the folder matches a pattern of `exclude`, and without files of a folder of masks in it.
+def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> dict[str, Path]:
+    """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
+    without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
 
-    Raises InputError for a pattern that matches none of the files, for files that are not readable images, and for a
-    folder with more files and folders than a station can have.
+    Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
+    more files and folders than a station can have.
     """
     names = {}
+    # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
+    beside = masks is not None and masks == folder
+    inside = None if masks is None or beside or not masks.is_relative_to(folder) else masks
     for count, path in enumerate(folder.rglob("*")):
         if count == MOST_NAMES:
             raise InputError(
@@ -98,14 +102,24 @@ def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None)
             )
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
-        is_mask = masks is not None and masks != folder and masks in path.parents
+        is_mask = inside is not None and inside in path.parents
         if not (hidden or is_mask) and path.suffix.lower() in SUFFIXES and path.is_file():
             names[below.as_posix()] = path
+    if beside:
+        found = {mask for name in names for mask in _mask_names(name) if mask != name}
+        names = {name: path for name, path in names.items() if name not in found}
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
     kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
-    return [describe_photo(names[name], name) for name in kept]
+    for name in kept:
+        require_utf8(names[name])
+    return {name: names[name] for name in kept}
+
+
+def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> list[Photo]:
+    """The photos of `photo_files`, with sizes and EXIF data. Raises InputError, also for files that are not readable images."""
+    return [describe_photo(path, name) for name, path in photo_files(folder, exclude, masks).items()]
 
 
 def photos_of(said: Mapping[str, Any]) -> list[Photo]:
@@ -115,8 +129,10 @@ def photos_of(said: Mapping[str, Any]) -> list[Photo]:
     return photos if masks is None else with_masks(photos, masks)
 
 
-#: Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them.
-_MASK_NAMES = ("{path}.png", "{stem}.png", "{stem}_mask.png", "{path}.mask.png")
+def _mask_names(photo: str) -> list[str]:
+    """Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them."""
+    stem = photo[: -len(Path(photo).suffix)]
+    return [f"{photo}.png", f"{stem}.png", f"{stem}_mask.png", f"{photo}.mask.png"]
 
 
 def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
@@ -127,9 +143,8 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
     """
     found = []
     for photo in photos:
-        stem = photo.name[: -len(Path(photo.name).suffix)]
-        for pattern in _MASK_NAMES:
-            path = folder / pattern.format(path=photo.name, stem=stem)
+        for name in _mask_names(photo.name):
+            path = folder / name
             if path.is_file() and path != photo.path:
                 width, height = _core.image_size(str(path))
                 if (width, height) != (photo.width, photo.height):
@@ -148,7 +163,8 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
 
 
 def _matches(name: str, pattern: str) -> bool:
-    return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.rsplit("/", 1)[-1], pattern)
+    # A file's own name is no pattern, even with brackets: "IMG_7 [edited].jpg".
+    return any(said == pattern or fnmatch.fnmatchcase(said, pattern) for said in (name, name.rsplit("/", 1)[-1]))
 
 
 def read_gray(path: Path) -> NDArray[np.float32]:

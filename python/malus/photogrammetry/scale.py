@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,8 +40,12 @@ def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
     targets: Targets = {}
     for photo in photos:
         image: NDArray[np.uint8] = to_bytes(read_gray(photo.path), gamma=1.0)
-        for number, x, y in _core.detect_targets(image, dictionary):
-            targets.setdefault(number, []).append((photo.name, x, y))
+        found = _core.detect_targets(image, dictionary)
+        times = Counter(number for number, _, _ in found)
+        for number, x, y in found:
+            # Of two places in one photo at most one is right: texture can look like a target, and prints may be there twice.
+            if times[number] == 1:
+                targets.setdefault(number, []).append((photo.name, x, y))
     return targets
 
 
@@ -98,7 +103,7 @@ def _reason(number: int, bar: Mapping[str, Any], ends: _Ends, registered: Mappin
             for target, end in zip(bar["targets"], (ends.a, ends.b), strict=True)
         }
         text = ", ".join(f"target {target} in {len(photos)} photos" for target, photos in seen.items())
-        return f"[[scale]] {number}: found {text} with a position, expected each in two or more"
+        return f"[[scale]] {number}: found {text} with a position, expected each in two or more, once in each photo"
     missing = sorted({name for name, _, _ in [*ends.a, *ends.b] if name not in registered})
     return f"[[scale]] {number} is marked in photos without a position ({listed(missing)}), fewer than two are left at an end"
 

@@ -103,8 +103,7 @@ def _place(
         raise failure
 
     work = bench.folder / "station"
-    refine = int(any(view.lens is None and view.shared_with is None for view in stations.values()))
-    mapper = {"Mapper.ba_refine_focal_length": refine, "Mapper.ba_refine_extra_params": refine}
+    mapper, adjustment = _lens_options(stations, photos.calibrated)
     registered, triangulated, placed = work / "registered", work / "triangulated", bench.folder / "placed"
     for folder in (registered, triangulated, placed):
         folder.mkdir(parents=True)
@@ -130,11 +129,7 @@ def _place(
         "station",
         triangulated,
         placed,
-        {
-            "BundleAdjustment.refine_focal_length": refine,
-            "BundleAdjustment.refine_extra_params": refine,
-            "BundleAdjustment.refine_principal_point": 0,
-        },
+        adjustment,
     )
     result = PlacedStations(placed, SparseModel.read(placed), matches)
     if not any(result.has(image) for image in stations):
@@ -142,6 +137,24 @@ def _place(
     for image, view in stations.items():
         _check_lens(result.model, image, view)
     return {"matches": matches}
+
+
+def _lens_options(stations: Mapping[str, StationView], calibrated: bool) -> tuple[dict[str, object], dict[str, object]]:
+    """Options by which a station's unknown lens is found with its pose, and those of the adjustment of all images.
+
+    calibrated: the photos' lens was given and must not change. COLMAP's adjustment cannot hold one lens fixed and change another: the
+    station's lens is then adjusted by `match_windows` alone.
+    """
+    refine = any(view.lens is None and view.shared_with is None for view in stations.values())
+    adjust = int(refine and not calibrated)
+    return (
+        {"Mapper.ba_refine_focal_length": int(refine), "Mapper.ba_refine_extra_params": int(refine)},
+        {
+            "BundleAdjustment.refine_focal_length": adjust,
+            "BundleAdjustment.refine_extra_params": adjust,
+            "BundleAdjustment.refine_principal_point": 0,
+        },
+    )
 
 
 def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[str, object]:

@@ -17,7 +17,7 @@ def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> N
     """Serve Studio for a folder until Ctrl-C, which also ends the runs that Studio started; their finished steps are kept.
 
     Only files below `folder` can be seen or written. port 0 = any free port. `browser`: open the page in the web browser.
-    Raises malus.InputError if there is no such folder, malus.ExternalError unless the extra `studio` is installed,
+    Raises malus.InputError if there is no such folder or port, malus.ExternalError unless the extra `studio` is installed,
     malus.ResourceError if the port is taken.
     """
     root = Path(folder)
@@ -25,6 +25,8 @@ def serve(folder: str | Path = ".", *, port: int = 0, browser: bool = True) -> N
         raise InputError(f"{folder}: is a file, expected its folder: {root.parent}")
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder, expected one with images or stations")
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port}, expected 0 to 65535; 0 = any free port")
     purpose = "malus studio"
     for package in ("starlette", "tomlkit"):
         extra(package, package, purpose, "studio")

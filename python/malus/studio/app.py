@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import datetime
+import itertools
 import json
 import math
 import os
@@ -79,7 +80,7 @@ class Studio:
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
             "phases": lambda q: phases.compared(malus.Station.load(self.root.file(q["path"])), self._threads),
-            "outline": lambda q: Response(masks.outline_of_prior(malus.Station.load(self.root.file(q["path"])), self._threads), media_type="image/png"),
+            "outline": self._outline,
         }  # fmt: skip
         told: dict[str, Callable[[Json], Any]] = {
             "angles": lambda body: folders.angles(self.root, body["folder"], body["source"], body["images"], float(body.get("first", 0)), float(body.get("step", 45))),
@@ -222,7 +223,11 @@ class Studio:
             document = StationDocument.read(station)
             document.require(body["digest"])
             profiles = list(document.values.get("profile", []))
-            entry = {"name": f"picked {len(profiles) + 1}", "from": body["from"], "to": body["to"]}
+            taken = {
+                profile.get("name") for profile in profiles
+            }  # Names may not be given twice, also after one was removed.
+            number = next(n for n in itertools.count(len(profiles) + 1) if f"picked {n}" not in taken)
+            entry = {"name": f"picked {number}", "from": body["from"], "to": body["to"]}
             document.set_list("profile", [*profiles, entry])
             document.write(body["digest"])
             return self._shown(document)
@@ -253,9 +258,10 @@ class Studio:
             direction=body.get("angle_direction", "ccw"),
             zero_deg=float(body.get("angle_zero_deg", 0)),
             response=body.get("response", "linear"),
+            exposure_s=body.get("exposure_s"),
         )
 
-    def _photos(self, query: Json) -> list[str]:
+    def _photos(self, query: Json) -> list[dict[str, str]]:
         path = self.root.file(query["path"])
         return folders.photos_of(self.root, path, StationDocument.read(path).values)
 
@@ -263,11 +269,13 @@ class Studio:
         document = StationDocument.read(self.root.file(body["path"]))
         model = self._model_of(document)
         bars = document.values.get("scale", [])
-        return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"])
+        options = settings.options_of(document.path)
+        return marks.examined(model, bars, body["image"], int(body["distance"]), body["end"], options)
 
     def _control(self, body: Json) -> Json:
         document = StationDocument.read(self.root.file(body["path"]))
-        return marks.control(document.path, self._model_of(document), body["image"], body["name"])
+        options = settings.options_of(document.path)
+        return marks.control(document.path, self._model_of(document), body["image"], body["name"], options)
 
     def _model_of(self, document: StationDocument) -> Path | None:
         """The model of the photos' cameras, if one is known."""
@@ -318,6 +326,11 @@ class Studio:
                 return self._shown(document)
 
         return await _answer(write)
+
+    def _outline(self, query: Json) -> Response:
+        path = self.root.file(query["path"])
+        found = masks.outline_of_prior(malus.Station.load(path), settings.options_of(path), self._threads)
+        return Response(found, media_type="image/png")
 
     def _overlay(self, query: Json) -> Json:
         station = malus.Station.load(self.root.file(query["path"]))

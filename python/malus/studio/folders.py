@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core, exif, station_import
-from malus._files import as_text, is_utf8, open_regular, read_regular
+from malus._files import as_text, is_utf8, open_regular, read_regular, resolved
 from malus.errors import InputError
+from malus.photogrammetry.photos import photo_files
 from malus.raw import is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
@@ -33,7 +34,7 @@ def _is_image(path: Path) -> bool:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
 
 
 def _is_station(path: Path) -> bool:
@@ -199,16 +200,17 @@ def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> li
     return [root.name(path) for path in paths if root.holds(path)]
 
 
-def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]:
-    """The photos in which a station's known distances and control points are marked: the photos of [photos], else those of its COLMAP
-    model, from the folder that has most of the model's photos.
+def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[dict[str, str]]:
+    """The photos in which a station's known distances and control points are marked, each as `path` and as the `image` that marks
+    name: the photos of [photos], else those of its COLMAP model, from the folder that has most of the model's photos.
     """
-    folder = values.get("photos", {}).get("folder")
+    photos = values.get("photos", {})
+    folder = photos.get("folder")
     if isinstance(folder, str):
-        place = root.directory(str(station.parent / folder))
-        return [
-            root.name(path) for path in sorted(place.iterdir(), key=_natural) if _is_image(path) and root.holds(path)
-        ]
+        masks = photos.get("masks")
+        place = resolved(station.parent / masks) if isinstance(masks, str) else None
+        files = photo_files(root.directory(str(station.parent / folder)), photos.get("exclude", []), place)
+        return [{"path": root.name(path), "image": name} for name, path in files.items() if root.holds(path)]
     camera = values.get("camera", {})
     if "colmap_model" not in camera:
         return []
@@ -216,4 +218,5 @@ def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[str]
     names = set(images_of_model(root.directory(str(station.parent / camera["colmap_model"])))) - {camera.get("image")}
     found = {here: sorted(name for name in names if (root.path(here) / name).is_file()) for here in candidates(root)["images"]}  # fmt: skip
     best = max(found, key=lambda here: len(found[here]), default=None)
-    return [] if best is None else [root.name(root.path(best) / name) for name in sorted(found[best], key=lambda name: _natural(Path(name)))]  # fmt: skip
+    named = [] if best is None else sorted(found[best], key=lambda name: _natural(Path(name)))
+    return [{"path": root.name(root.path(str(best)) / name), "image": name} for name in named]

@@ -34,7 +34,7 @@ def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str
     ]
 
 
-def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
     """How well the [[scale]] tables fit each other and the cameras: `fits` by position in the list, from 1, of the tables with both
     ends marked in two photos or more; `problem` says why there are no fits.
     """
@@ -43,23 +43,23 @@ def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]]) 
     if not marked:
         return {"problem": "Mark both ends of a distance in two photos or more; how well they fit is then shown here.", "fits": {}}  # fmt: skip
     try:
-        found = adjust_scale([filled[place] for place in marked], [], cameras, Options(), lambda _level, _message: None)
+        found = adjust_scale([filled[place] for place in marked], [], cameras, options, lambda _level, _message: None)
     except MalusError as error:
         return {"problem": str(error), "fits": {}}
     fits = {marked[int(fit["name"].split()[-1]) - 1] + 1: fit for fit in found["distances"]} if found else {}
     return {"problem": "", "fits": fits}
 
 
-def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, distance: int, end: str) -> dict[str, Any]:  # fmt: skip
+def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, distance: int, end: str, options: Options) -> dict[str, Any]:  # fmt: skip
     """Epipolar lines for the end that is being marked in `image`, and the residuals of all distances."""
     if model is None:
         return {"lines": [], "fits": {}, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
     cameras = {name: registered.camera for name, registered in SparseModel.read(model).images.items()}
     marks = bars[distance].get(end, []) if 0 <= distance < len(bars) else []
-    return {"lines": lines(cameras, image, marks), **residuals(cameras, bars)}
+    return {"lines": lines(cameras, image, marks), **residuals(cameras, bars, options)}
 
 
-def control(station: Path, model: Path | None, image: str, name: str) -> dict[str, Any]:
+def control(station: Path, model: Path | None, image: str, name: str, options: Options) -> dict[str, Any]:
     """How well the control points of a station file fit. image: photo that is shown; name: point that is being marked in this photo.
 
     Returns `problem` (what is wrong or missing), `lines` (epipolar lines of the point in the photo, from its marks in other photos),
@@ -80,7 +80,7 @@ def control(station: Path, model: Path | None, image: str, name: str) -> dict[st
     cameras = {known: registered.camera for known, registered in SparseModel.read(model).images.items()}
     said["lines"] = lines(cameras, image, next((point["marks"] for point in points if point["name"] == name), []))
     try:
-        datum = adjust_datum(points, cameras, Options().photos.mark_sigma_px, lambda _level, _message: None)
+        datum = adjust_datum(points, cameras, options.photos.mark_sigma_px, lambda _level, _message: None)
         said["datum"] = {name: datum[name] for name in ("sigma", "doubtful", "points")}
     except MalusError as error:
         said["problem"] = str(error)

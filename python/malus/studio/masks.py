@@ -8,7 +8,8 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
 import malus
 from malus import _core
@@ -16,6 +17,7 @@ from malus._extra import extra
 from malus._files import write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
+from malus.options import Options
 from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import displayed
@@ -30,23 +32,25 @@ _SPECK = 0.01
 Bytes = NDArray[np.uint8]
 
 
-def decode(content: bytes, size: tuple[int, int] | None = None) -> Bytes:
+def decode(content: bytes, size: tuple[int, int]) -> Bytes:
     """Pixels H×W of a gray PNG from the page; InputError unless it is a PNG of this width and height."""
     try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-            if size is not None and image.size != size:
+        # Not Image.open, which refuses images of more than 179 megapixels; nothing is decoded before the size is known.
+        with PngImageFile(io.BytesIO(content)) as image:
+            if image.size != size:
                 raise InputError(
                     f"the mask is {image.width} x {image.height} pixels, expected {size[0]} x {size[1]} as the images"
                 )
             return np.array(image.convert("RGBA").getchannel("R"))
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError) as error:
         raise InputError(f"the mask is no PNG image ({error})") from None
 
 
 def read(path: Path) -> bytes:
     """A mask or label image as PNG for the page."""
     pixels, full_scale = _core.read_image_dn(str(path))
-    gray = pixels if pixels.ndim == 2 else pixels[..., 0]
+    # Any channel that is not zero is the object, as for a run: palettes of annotation programs have green and blue objects.
+    gray = pixels if pixels.ndim == 2 else pixels.max(axis=2)
     # Labels are small numbers in 8 bits; images of more than 8 bits are masks, whose pixels are set or not.
     values = gray if full_scale <= 255 else np.where(gray != 0, 255, 0)
     return encode(values.astype(np.uint8), "PNG")
@@ -74,15 +78,20 @@ def cut_out(image: Path, hints: Bytes, threads: int) -> bytes:
     if hints.shape != picture.shape[:2]:
         raise InputError(f"the hints are {hints.shape[1]} x {hints.shape[0]} pixels, expected the image's size")
     step = step_for(picture.shape, _CUT_SIDE_PX)
-    small = np.ascontiguousarray(picture[::step, ::step])
-    found = _core.cut_out_object(small, np.ascontiguousarray(hints[::step, ::step]), _CUT_ITERATIONS, threads)
+    # The middle pixel of each cell: with the first one, the mask would lie half a cell beside the object.
+    middles = np.ix_(*(np.minimum(np.arange(step // 2, side + step // 2, step), side - 1) for side in hints.shape))
+    found = _core.cut_out_object(picture[middles], hints[middles], _CUT_ITERATIONS, threads)
     cleaned = without_specks(found)
     if not cleaned.any():
         raise DataError(
             "no edge was found by color: what is painted looks like what lies around it. It stays as it is; the brush and the "
             "eraser make a mask without it"
         )
-    whole = Image.fromarray(cleaned).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR)
+    height, width = hints.shape
+    # The box leaves out the part of the last cells that lies beyond the image.
+    whole = Image.fromarray(cleaned).resize(
+        (width, height), Image.Resampling.BILINEAR, box=(0, 0, width / step, height / step)
+    )
     return encode(np.where(np.asarray(whole) >= 128, 255, 0).astype(np.uint8), "PNG")
 
 
@@ -98,15 +107,15 @@ def without_specks(mask: Bytes) -> Bytes:
     return cleaned
 
 
-def _prior_in_view(station: malus.Station, threads: int) -> NDArray[np.float32]:
+def _prior_in_view(station: malus.Station, options: Options, threads: int) -> NDArray[np.float32]:
     """Depth of the station's prior in the polarized image, which must have no distortion."""
-    result = malus.reconstruct(station, until="prior", threads=threads)
+    result = malus.reconstruct(station, options, until="prior", threads=threads)
     if result.prior_depth is None:
         raise DataError("there is no [prior] to see yet: the run makes it from the photos")
     return result.prior_depth
 
 
-def outline_of_prior(station: malus.Station, threads: int) -> bytes:
+def outline_of_prior(station: malus.Station, options: Options, threads: int) -> bytes:
     """PNG of the pixels that the prior covers.
 
     Raises InputError for a lens with distortion: the prior lies in the undistorted image, the mask in the image as taken.
@@ -115,7 +124,7 @@ def outline_of_prior(station: malus.Station, threads: int) -> bytes:
         raise InputError(
             "the outline of the prior is for lenses without distortion, expected another tool for this one"
         )
-    return encode(np.where(np.isfinite(_prior_in_view(station, threads)), 255, 0).astype(np.uint8), "PNG")
+    return encode(np.where(np.isfinite(_prior_in_view(station, options, threads)), 255, 0).astype(np.uint8), "PNG")
 
 
 def _has_distortion(station: malus.Station) -> bool:

@@ -13,6 +13,7 @@ from malus import evidence, polarization
 from malus._extra import extra
 from malus.errors import DataError, InputError
 from malus.overlay import nearest_points
+from malus.photogrammetry.front_end import camera_of
 from malus.reconstruction import prior_upon_image
 from malus.studio.preview import as_picture, small_images
 
@@ -42,7 +43,8 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
         images, [float(np.radians(sign * (angle - said["angle_zero_deg"]))) for angle in angles]
     )
     step = image.shape[1] / images[0].shape[1]
-    normals = _normals(points, image.shape, images[0].shape, step / said["camera"]["params"][0])
+    lens = camera_of(said["camera"])
+    normals = _normals(points, image.shape, images[0].shape, (step / lens.fx, step / lens.fy))
     normals[_resampled((mask != 0).astype(np.float64), images[0].shape, step) < 1] = np.nan
     found = evidence.check_phase(state, normals, threads=threads)
     # The expected phase is that of diffuse reflection; for specular reflection it differs by 90°.
@@ -57,11 +59,11 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
 
 
 def _normals(
-    points: NDArray[np.float32], whole: tuple[int, ...], small: tuple[int, ...], pixel: float
+    points: NDArray[np.float32], whole: tuple[int, ...], small: tuple[int, ...], pixel: tuple[float, float]
 ) -> NDArray[np.float32]:
     """Normals of the coarse surface at each pixel of a small image, towards the camera; NaN where there are too few points.
 
-    points: N×3, u, v [px of the whole image] and distance; pixel: side of a small pixel at distance one.
+    points: N×3, u, v [px of the whole image] and distance; pixel: width and height of a small pixel at distance one.
     """
     ndimage = extra("scipy.ndimage", "scipy", "comparing the phase", "studio")
     distance, cell = nearest_points(points, whole)
@@ -73,8 +75,8 @@ def _normals(
     step = whole[1] / small[1] / cell
     depth = _resampled(mean, small, step)
     down, right = np.gradient(depth)
-    side = pixel * float(np.median(points[:, 2]))
-    normals = np.dstack([right / side, down / side, -np.ones(small)])
+    wide, high = np.array(pixel) * float(np.median(points[:, 2]))
+    normals = np.dstack([right / wide, down / high, -np.ones(small)])
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     normals[ndimage.minimum_filter(_resampled(share, small, step), 5) < _LEAST_POINTS] = np.nan
     return normals.astype(np.float32)

@@ -11,7 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
+from PIL.JpegImagePlugin import JpegImageFile
 
 from malus import _core, raw
 from malus.errors import InputError
@@ -27,14 +28,15 @@ Made = TypeVar("Made")
 
 
 def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[np.float32], bool]:
-    """Pixels H×W or H×W×3 in [0, 1] of full scale, and whether they are linear (RAW, or assumed for more than 8 bits).
+    """Pixels H×W or H×W×3 in [0, 1] of full scale, and whether they are linear (RAW, or assumed for more than 8 bits and for
+    floating point, whose full scale is taken as 1).
 
     half_size: read RAW files with half the pixels per side, which is much faster.
     """
     if raw.is_raw(path):
         return raw.linear_image(path, half_size=half_size), True
     pixels, full_scale = _core.read_image_dn(str(path))
-    return np.asarray(pixels, dtype=np.float32) / np.float32(full_scale), full_scale > 255
+    return np.asarray(pixels, dtype=np.float32) / np.float32(full_scale), full_scale != 255
 
 
 def displayed(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
@@ -51,6 +53,7 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     if side_px is not None:
         step = step_for(pixels.shape, side_px)
         pixels = np.stack([reduced(pixels[..., c], step) for c in range(pixels.shape[2])], -1)
+    pixels = np.nan_to_num(pixels, copy=False)
     if linear:
         white = max(float(np.percentile(pixels[:: 1 + pixels.shape[0] // 500, :: 1 + pixels.shape[1] // 500], _WHITE_PERCENTILE)), 1e-6)  # fmt: skip
         pixels = np.clip(pixels / white, 0, 1) ** np.float32(1 / 2.2)
@@ -80,13 +83,16 @@ def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
 def _thumbnail(path: Path) -> bytes:
     if path.suffix.lower() in (".jpg", ".jpeg"):
         try:
-            with Image.open(path) as image:  # draft() decodes only an eighth of the pixels
+            # Not Image.open, which refuses images of more than 179 megapixels. draft() decodes only an eighth of the pixels.
+            with JpegImageFile(path) as image:
                 image.draft("RGB", (THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 image.thumbnail((THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 buffer = io.BytesIO()
                 image.convert("RGB").save(buffer, "JPEG", quality=85)
                 return buffer.getvalue()
-        except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        except SyntaxError:  # Pillow's for a file that is no JPEG, whatever its name says.
+            pass
+        except OSError as error:
             raise InputError(f"{path}: cannot be read as an image ({error})") from None
     return encode(displayed(path, THUMBNAIL_SIDE_PX), "JPEG", quality=85)
 

@@ -26,6 +26,7 @@ def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
     """Linear intensity of encoded pixels in [0, 1]. response: as in the station file, linear, srgb or gamma:G."""
     if response == "linear":
         return pixels
+    pixels = np.maximum(pixels, 0)  # Floating-point images may be negative where they are dark.
     if response == "srgb":
         return np.where(pixels <= _SRGB_BREAK, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
     try:
@@ -66,26 +67,33 @@ def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> st
 
 
 def preview(
-    paths: Sequence[Path], angles_deg: Sequence[float], *, direction: str, zero_deg: float, response: str
+    paths: Sequence[Path],
+    angles_deg: Sequence[float],
+    *,
+    direction: str,
+    zero_deg: float,
+    response: str,
+    exposure_s: Sequence[float] | None = None,
 ) -> dict[str, Any]:
     """Pictures of intensity, degree and phase as data URLs, their ranges, and the findings of checks that need the images alone.
 
-    Angles are those of the filter's scale; `direction` and `zero_deg` as in the station file. Raises InputError or DataError
-    (fewer than three angles).
+    Angles are those of the filter's scale; `direction`, `zero_deg` and `exposure_s` as in the station file. Raises InputError or
+    DataError (fewer than three angles).
     """
     start = time.monotonic()
-    images = small_images(paths, response)
+    images = small_images(paths, response, exposure_s)
     sign = -1.0 if direction == "cw" else 1.0
     angles_rad = [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
     state = polarization.decompose(images, angles_rad)
     degree = np.asarray(state.degree)
-    low, high = (float(p) for p in np.nanpercentile(state.unpolarized, [0.5, 99.5]))
+    light = np.maximum(state.unpolarized, 0)
+    low, high = (float(p) for p in np.nanpercentile(light, [0.5, 99.5]))
     top = float(np.nanpercentile(degree, 99))
     findings = [evidence.check_order(images, angles_rad)]
     if len(images) > 3:
         findings.append(evidence.check_response(images, angles_rad))  # type: ignore[arg-type]
     return {
-        "intensity": as_picture(np.asarray(state.unpolarized) ** (1 / 2.2), "gray", low ** (1 / 2.2), high ** (1 / 2.2)),
+        "intensity": as_picture(light ** (1 / 2.2), "gray", low ** (1 / 2.2), high ** (1 / 2.2)),
         "degree": as_picture(degree, "viridis", 0, top),
         "phase": as_picture(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
         "degree_top": top,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
+from malus import assess
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
@@ -19,6 +21,8 @@ from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400
+#: Most bytes of a folder's name; file systems have 255, of which a name that is being written takes 30 more.
+_LONGEST_NAME = 200
 #: Largest relative difference of two cameras that is put down to rounding.
 _SAME_CAMERA = 1e-6
 
@@ -36,7 +40,11 @@ def comparisons(root: Root) -> list[str]:
 def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
     """Folder for the comparison of two results; always the same one for the same results."""
     names = [root.name(work).replace("/", "_") for work in (before, after)]
-    return root.path("_".join(["change", *names]))
+    whole = "_".join(["change", *names])
+    if len(whole.encode()) > _LONGEST_NAME:
+        start = whole.encode()[: _LONGEST_NAME - 17].decode(errors="ignore")
+        whole = f"{start}_{hashlib.sha256(whole.encode()).hexdigest()[:16]}"
+    return root.path(whole)
 
 
 def _folders_with(root: Root, file: str) -> list[str]:
@@ -86,6 +94,16 @@ def _picture(values: NDArray[np.float32], limit: float) -> str:
     return "data:image/png;base64," + base64.b64encode(encode(picture, "PNG")).decode()
 
 
+def _is_same_place(a: Workspace, b: Workspace) -> bool:
+    """Whether two cameras of one lens stand at one place and look in one direction. Places are compared relative to the distance of
+    the object: coordinates may be those of a national grid, a millionth of which is meters.
+    """
+    (turn_a, shift_a), (turn_b, shift_b) = a.pose, b.pose
+    apart = float(np.linalg.norm(turn_a.T @ shift_a - turn_b.T @ shift_b))
+    distance = float(a.quality["gsd"]) * a.camera.fx
+    return np.allclose(turn_a, turn_b, rtol=0, atol=_SAME_CAMERA) and apart <= _SAME_CAMERA * distance
+
+
 def difference(first: Path, second: Path) -> dict[str, Any]:
     """How much nearer the second surface is than the first, as a picture and figures in the station's unit.
 
@@ -96,8 +114,7 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
         np.isclose(getattr(a.camera, key), getattr(b.camera, key), rtol=_SAME_CAMERA)
         for key in ("width", "height", "fx", "fy", "cx", "cy")
     )
-    same_pose = all(np.allclose(x, y, rtol=_SAME_CAMERA, atol=1e-6) for x, y in zip(a.pose, b.pose, strict=True))
-    if not (same_camera and same_pose) or a.quality["unit"] != b.quality["unit"]:
+    if not (same_camera and _is_same_place(a, b)) or a.quality["unit"] != b.quality["unit"]:
         raise InputError(
             f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, so that they cannot "
             "be laid upon each other pixel by pixel; two dates of one object are compared below"
@@ -118,32 +135,27 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
 
 
 def profile(folder: Path, start: tuple[float, float], end: tuple[float, float]) -> dict[str, Any]:
-    """A section through prior and fused surface between two pixels: distance along it and height above its chord, in the unit.
+    """A section through prior and fused surface between two pixels, computed as the report's profiles are: distance along its chord
+    and height above it, in the unit.
 
-    One sample per pixel. Heights point towards the camera; None where there is no surface.
+    Heights point towards the camera; None where there is no surface.
     """
     workspace = Workspace(folder)
     depths = {name: workspace.raster(f"{name}/depth.tif") for name in ("prior", "fused")}
     height, width = depths["fused"].shape
-    if not all(0 <= u < width and 0 <= v < height for u, v in (start, end)):
+    if not all(0 <= u <= width - 1 and 0 <= v <= height - 1 for u, v in (start, end)):
         raise InputError(f"the profile from {start} to {end} leaves the picture of {width} x {height} pixels")
-    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-    if length < 2:
+    if np.hypot(end[0] - start[0], end[1] - start[1]) < 2:
         raise InputError("the profile is shorter than 2 pixels, expected two places apart")
-    share = np.linspace(0, 1, int(length) + 1)
-    u, v = (np.rint(start[c] + share * (end[c] - start[c])).astype(int) for c in (0, 1))
-    sections = {name: -depth[v, u].astype(float) for name, depth in depths.items()}
-    known = np.nonzero(np.isfinite(sections["fused"]))[0]
-    if known.size < 2:
+    gsd = float(workspace.quality["gsd"])
+    section = assess.profile(depths["fused"], workspace.camera, start, end, gsd, prior=depths["prior"])
+    if section["status"] != "done":
         raise DataError("the profile meets no surface")
-    first, last = known[[0, -1]]
-    fused = sections["fused"]
-    chord = fused[first] + (fused[last] - fused[first]) * (share - share[first]) / (share[last] - share[first])
     return {
         "unit": str(workspace.quality["unit"]),
-        "along": (share * length * float(workspace.quality["gsd"])).tolist(),
+        "along": [float(x) for x in section["position"]],
         **{
-            name: [None if not np.isfinite(x) else float(x) for x in section - chord]
-            for name, section in sections.items()
+            name: [float(x) if np.isfinite(x) else None for x in section[key]]
+            for name, key in (("prior", "prior"), ("fused", "surface"))
         },
     }

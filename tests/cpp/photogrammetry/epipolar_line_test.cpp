@@ -36,6 +36,17 @@ TEST(EpipolarLine, PassesThroughTheImageOfThePoint) {
   }
 }
 
+TEST(EpipolarLine, HasNoPlacesOutsideTheImageThatTheLensPolynomialFoldsBack) {
+  // Without a k2 that bends it back, this barrel distortion shows directions at 72° in the image.
+  const LensCamera barrel{LensModel::radial, {6000, 4000}, {4500, 3000, 2000, -0.1, 0}};
+  const auto line = epipolar_line(barrel, beside(0, 0), {3200, 2100}, barrel, beside(30, 0.15));
+  ASSERT_GT(line.size(), 20U);
+  for (std::size_t k = 2; k < line.size(); ++k) {
+    EXPECT_GT((line[k] - line[k - 1]).dot(line[k - 1] - line[k - 2]), 0) << "turns back at point " << k;
+    EXPECT_LT((line[k] - line[k - 1]).norm(), 1.5 * (line[k - 1] - line[k - 2]).norm() + 1) << "jumps at point " << k;
+  }
+}
+
 TEST(EpipolarLine, DoesNotExistForCamerasAtOnePlace) {
   EXPECT_TRUE(epipolar_line(lens(), beside(0, 0), {100, 100}, lens(), beside(0, 0.1)).empty());
 }

@@ -66,12 +66,17 @@ async function showChoice() {
   else byId('draw-side').replaceChildren(make('p', { class: 'note' }, what.value === 'scale' ? 'Known distances are marked in photographs. There are none yet: under Station, choose their folder or a COLMAP model with their cameras.' : state.station.error ?? 'The station has no image that can be shown.'));
 }
 
+// What marks call a photograph, by its path: below the photographs' folder, or in the COLMAP model, it may lie in a folder of its own.
+let nameOfPhoto = new Map();
+
 // Images to draw on. Known distances are marked in photographs. Control points are marked in the polarized image and in
 // photographs; if there is a prior, in the polarized image only.
 async function imagesOf(kind) {
   if (kind !== 'scale' && kind !== 'control') return state.station.images;
   if (kind === 'control' && state.station.values.prior) return state.station.images.slice(0, 1);
-  const photos = await ask('photos', { path: state.station.path });
+  const found = await ask('photos', { path: state.station.path });
+  nameOfPhoto = new Map(found.map((photo) => [photo.path, photo.image]));
+  const photos = [...nameOfPhoto.keys()];
   return kind === 'scale' ? photos : [...state.station.images.slice(0, 1), ...photos.filter((path) => !state.station.images.includes(path))];
 }
 
@@ -496,7 +501,7 @@ function shapeSide(list) {
   return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
 }
 
-const here = () => image.value.split('/').pop();
+const here = () => nameOfPhoto.get(image.value) ?? image.value.split('/').pop();
 const marksHere = () => entries('scale').flatMap((entry, at) => ['a', 'b'].flatMap((name) => (entry[name] ?? []).filter((mark) => mark.image === here()).map((mark) => [`${at + 1}${name}`, [mark.x, mark.y]])));
 
 const rounded = (value) => Math.round(10 * value) / 10;

@@ -67,6 +67,15 @@ function drawTable() {
 
 const used = () => shots.filter((shot) => shot.use && shot.angle !== null);
 
+// Exposure times as a table or sidecars say them; null if all are alike or unknown.
+function exposuresOf(chosen) {
+  const known = chosen.filter((shot) => shot.exposure !== null);
+  if (new Set(known.map((shot) => shot.exposure)).size < 2) return null;
+  const without = chosen.filter((shot) => shot.exposure === null);
+  if (without.length) throw new Error(`${without.map((shot) => shot.name).join(', ')}: no exposure time, but other images have different ones`);
+  return known.map((shot) => shot.exposure);
+}
+
 // Fills in the angles from the chosen source. Angles that the source does not give are left to be typed, and angles typed before its
 // answer are kept.
 async function fill() {
@@ -107,7 +116,7 @@ async function preview() {
   }
   place.replaceChildren(make('p', { class: 'note' }, 'Computing a preview …'));
   try {
-    const maps = await tell('preview', { ...scale(), images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle) });
+    const maps = await tell('preview', { ...scale(), images: chosen.map((shot) => shot.path), angles_deg: chosen.map((shot) => shot.angle), exposure_s: exposuresOf(chosen) });
     if (number === asked) place.replaceChildren(...previewParts(maps));
   } catch (error) {
     if (number === asked) place.replaceChildren(make('p', { class: 'error' }, error.message));
@@ -134,8 +143,6 @@ form.addEventListener('submit', doing(once(async () => {
   const chosen = used();
   const without = shots.filter((shot) => shot.use && shot.angle === null);
   if (without.length) throw new Error(`${without.map((shot) => shot.name).join(', ')}: no angle; type it, or do not use the image`);
-  const exposures = chosen.map((shot) => shot.exposure);
-  const differ = new Set(exposures.filter((exposure) => exposure !== null)).size > 1;
   await createStation({ ...scale(), ...(chosen.some((shot) => shot.raw) ? { response: null } : {}), path: form.elements.path.value, name: form.elements.name.value, unit: form.elements.unit.value,
-    images: chosen.map((shot) => shot.path), mask: chosen.some((shot) => shot.path === folder.mask) ? null : folder.mask, angles_deg: chosen.map((shot) => shot.angle), exposure_s: differ ? exposures : null });
+    images: chosen.map((shot) => shot.path), mask: chosen.some((shot) => shot.path === folder.mask) ? null : folder.mask, angles_deg: chosen.map((shot) => shot.angle), exposure_s: exposuresOf(chosen) });
 })));
