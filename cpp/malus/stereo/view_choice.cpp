@@ -21,6 +21,20 @@ constexpr double largest_fit_error_px = 0.05;
 /// Photos with a shorter side below this are not halved.
 constexpr int least_halved_px = 16;
 
+/// Spacing of the sample pixels, px of the level. On a small or thin object, which has fewer samples than a side of the
+/// image, they lie closer together.
+int sample_spacing(const Mask& mask, const Image<float>& log_depth) {
+  int step = std::max(1, std::min(mask.width(), mask.height()) / samples_a_side);
+  for (; step > 1; step /= 2) {
+    int samples = 0;
+    for (int v = 0; v < mask.height(); v += step) {
+      for (int u = 0; u < mask.width(); u += step) samples += mask(u, v) != 0 && std::isfinite(log_depth(u, v));
+    }
+    if (samples >= samples_a_side) break;
+  }
+  return step;
+}
+
 }  // namespace
 
 ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, const SweepOptions& options,
@@ -39,7 +53,7 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, cons
 }
 
 void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth) {
-  const int step = std::max(1, std::min(level.mask.width(), level.mask.height()) / samples_a_side);
+  const int step = sample_spacing(level.mask, log_depth);
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
     double total = 0;
