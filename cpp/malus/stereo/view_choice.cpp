@@ -79,7 +79,8 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
     photo.parallax = median(parallax);
     photo.resolution = resolution.empty() ? 1 : median(resolution);
     const double a = median(angle), share = total > 0 ? static_cast<double>(angle.size()) / total : 0;
-    const bool usable = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180 && photo.parallax > 0;
+    photo.sees = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180;
+    const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
     const Eigen::Vector3d& centre = photo.projection.centre_in_station();
     photo.azimuth_rad = std::atan2(centre.y(), centre.x());
@@ -116,6 +117,14 @@ void ViewChoice::split() {
 void ViewChoice::choose(const MatchLevel& level, const Image<float>& log_depth) {
   measure(level, log_depth);
   split();
+}
+
+std::vector<std::size_t> ViewChoice::seeing() const {
+  std::vector<std::size_t> numbers;
+  for (std::size_t k = 0; k < photos_.size(); ++k) {
+    if (photos_[k].sees) numbers.push_back(k);
+  }
+  return numbers;
 }
 
 double ViewChoice::parallax(const MatchLevel& level) const {

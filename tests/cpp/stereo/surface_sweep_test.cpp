@@ -163,6 +163,21 @@ TEST_F(SweepOfBumps, LeavesOutWhereTheStationShines) {
     for (int u = 94; u <= 106; ++u) EXPECT_TRUE(std::isnan(result.depth(u, v))) << u << ' ' << v;
   }
   EXPECT_LT(errors_of(result, scene_->truth).rms_gsd, 0.3);
+
+  // Photos of the object's back have no say.
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> shade(0.1F, 0.9F);
+  for (int k = 0; k < 20; ++k) {
+    SweepView back{Image<float>(distorted_lens().size), distorted_lens(), looking_from({40.0 * k - 400, 90, 850})};
+    for (int v = 0; v < back.intensity.height(); v += 10) {
+      for (int u = 0; u < back.intensity.width(); u += 10) {
+        const float value = shade(random);
+        for (int i = 0; i < 100; ++i) back.intensity(u + i % 10, v + i / 10) = value;
+      }
+    }
+    shining.views.push_back(std::move(back));
+  }
+  EXPECT_EQ(sweep_surface(shining.input, shining.views, test_options(), {}).highlights, result.highlights);
 }
 
 TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
