@@ -92,6 +92,17 @@ TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
   EXPECT_LT(errors.median_gsd, 0.15);
 }
 
+TEST_F(SweepOfBumps, MayAskForMorePointsThanItCompares) {
+  SweepInput input = scene_->input;
+  const std::size_t given = input.points.size();
+  for (std::size_t k = 0; k < 2000; ++k) input.points.push_back(scene_->input.points[k % given]);
+  SweepOptions options = test_options();
+  options.min_points = 2000;
+  const SweepResult result = sweep_surface(input, scene_->views, options, {});
+  EXPECT_EQ(result.points_used, 1500);
+  EXPECT_GT(result.completeness, 0.9);
+}
+
 TEST_F(SweepOfBumps, MeasuresAKnownSurfaceSharperInNoise) {
   SweepInput input = scene_->input;
   std::vector<SweepView> views = scene_->views;
