@@ -96,6 +96,9 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
     assert swapped.severity == "warning", swapped.message
     assert np.rad2deg(swapped.angles_rad) == pytest.approx([0, 90, 60, 30, 120, 150])
     assert evidence.check_response(images, angles).severity == "note"
+    counts = [np.rint(65535 * image).astype(np.uint16) for image in images]
+    assert evidence.check_order(counts, angles).message == evidence.check_order(images, angles).message
+    assert evidence.check_response(counts, angles).message == evidence.check_response(images, angles).message
 
 
 @pytest.mark.parametrize(
