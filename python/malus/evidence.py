@@ -83,9 +83,11 @@ def check_phase(
 
 
 def _scene_and_mask(
-    state: PolarizationState, scene: ArrayLike | None, mask: ArrayLike | None
+    state: PolarizationState, camera: Camera, scene: ArrayLike | None, mask: ArrayLike | None
 ) -> tuple[NDArray[Any] | None, NDArray[np.uint8] | None]:
     shape = state.unpolarized.shape
+    if (camera.height, camera.width) != shape:
+        raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as the state")
     image = None if scene is None else as_image(scene, "scene")
     if image is not None and image.shape != shape:
         raise ValueError(f"scene has shape {image.shape}, expected {shape}")
@@ -127,7 +129,7 @@ def check_cloud(
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
-    image, object_mask = _scene_and_mask(state, scene, mask)
+    image, object_mask = _scene_and_mask(state, camera, scene, mask)
     return PriorFinding(
         **_core.check_cloud(
             cloud,
@@ -154,7 +156,7 @@ def check_depth(
     threads: int = ALL_CORES,
 ) -> PriorFinding:
     """As `check_cloud`, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
-    image, object_mask = _scene_and_mask(state, scene, mask)
+    image, object_mask = _scene_and_mask(state, camera, scene, mask)
     return PriorFinding(**_core.check_depth(as_image(depth, "depth"), state, image, object_mask, camera, unit, threads))
 
 
@@ -174,9 +176,9 @@ def check_order(
 ) -> OrderFinding:
     """Check whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
 
-    images: K arrays H×W, linear, in [0, 1], or all uint16 with white at 65535. A warning if another order leaves a quarter of the squared residuals or less. Orders
-    that fit equally well cannot be distinguished: those of three angles, and those of equally spaced angles that are all
-    shifted or counted in the opposite direction.
+    images: K arrays H×W, linear, in [0, 1], or all uint16 with white at 65535. A warning if another order leaves a quarter
+    of the squared residuals or less. Orders that fit equally well cannot be distinguished: those of three angles, and those
+    of equally spaced angles that are all shifted or counted in the opposite direction.
     """
     stack = as_shares(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)

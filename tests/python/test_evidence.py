@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -112,6 +114,10 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
         (
             lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, camera, scene=np.zeros((3, 3))),
             "scene has shape",
+        ),
+        (
+            lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, replace(camera, width=8, height=6)),
+            "camera has shape",
         ),
         (lambda state, camera: evidence.check_phase(state, np.zeros((3, 3))), "normals has shape"),
         (lambda _, camera: evidence.check_size(np.zeros(3), camera), "points_in_cam has shape"),
