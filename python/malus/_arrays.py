@@ -54,6 +54,11 @@ def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> lis
     return images
 
 
+def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[np.float32]]:
+    """As `as_intensities`, but all images are float32 in [0, 1] of the white level."""
+    return [image if image.dtype == np.float32 else image / np.float32(65535) for image in as_intensities(values, name)]
+
+
 def as_angles(values: Sequence[float], name: str) -> list[float]:
     """Angles in radians; ValueError for values that look like degrees."""
     angles = [float(value) for value in values]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images
+from malus._arrays import as_image, as_shares
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -71,9 +71,12 @@ def register(
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> list[Registration]:
-    """Register linear images (K arrays H×W) to the first by affine maps, jointly; one `Registration` per image."""
+    """Register images to the first by affine maps, jointly; one `Registration` per image.
+
+    images: K arrays H×W, linear, in [0, 1] of the white level, or all uint16 with white at 65535.
+    """
     found = _core.register_images(
-        as_images(images, "images"),
+        as_shares(images, "images"),
         (options or Options()).to_json(),
         frames_averaged,
         full_well_e,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_images, as_mask
+from malus._arrays import as_angles, as_image, as_mask, as_shares
 from malus._core import PolarizationState
 from malus.camera import Camera
 from malus.threads import ALL_CORES
@@ -83,9 +83,11 @@ def check_phase(
 
 
 def _scene_and_mask(
-    state: PolarizationState, scene: ArrayLike | None, mask: ArrayLike | None
+    state: PolarizationState, camera: Camera, scene: ArrayLike | None, mask: ArrayLike | None
 ) -> tuple[NDArray[Any] | None, NDArray[np.uint8] | None]:
     shape = state.unpolarized.shape
+    if (camera.height, camera.width) != shape:
+        raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as the state")
     image = None if scene is None else as_image(scene, "scene")
     if image is not None and image.shape != shape:
         raise ValueError(f"scene has shape {image.shape}, expected {shape}")
@@ -127,7 +129,7 @@ def check_cloud(
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
-    image, object_mask = _scene_and_mask(state, scene, mask)
+    image, object_mask = _scene_and_mask(state, camera, scene, mask)
     return PriorFinding(
         **_core.check_cloud(
             cloud,
@@ -154,7 +156,7 @@ def check_depth(
     threads: int = ALL_CORES,
 ) -> PriorFinding:
     """As `check_cloud`, for a depth map in the station's view (H×W, z, NaN = none), which has no colors."""
-    image, object_mask = _scene_and_mask(state, scene, mask)
+    image, object_mask = _scene_and_mask(state, camera, scene, mask)
     return PriorFinding(**_core.check_depth(as_image(depth, "depth"), state, image, object_mask, camera, unit, threads))
 
 
@@ -174,11 +176,11 @@ def check_order(
 ) -> OrderFinding:
     """Check whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
 
-    images: K arrays H×W, linear, in [0, 1]. A warning if another order leaves a quarter of the squared residuals or less. Orders
-    that fit equally well cannot be distinguished: those of three angles, and those of equally spaced angles that are all
-    shifted or counted in the opposite direction.
+    images: K arrays H×W, linear, in [0, 1], or all uint16 with white at 65535. A warning if another order leaves a quarter
+    of the squared residuals or less. Orders that fit equally well cannot be distinguished: those of three angles, and those
+    of equally spaced angles that are all shifted or counted in the opposite direction.
     """
-    stack = as_images(images, "images")
+    stack = as_shares(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)
     return OrderFinding(**_core.check_order(stack, as_angles(angles_rad, "angles_rad"), object_mask))
 
@@ -190,11 +192,11 @@ def check_response(
     mask: ArrayLike | None = None,
     response: str = "linear",
 ) -> Finding:
-    """Check whether images linearized by `response` (K arrays H×W, in [0, 1], K > 3) are linear in the light.
+    """Check whether images linearized by `response` (K arrays H×W as for `check_order`, K > 3) are linear in the light.
 
     A response curve distorts the sinusoid: figures["bend"] is the factor of I ρ² cos 4(a − φ), 0 for linear images, −0.30 for
     encoded images taken as linear, 0.14 for linear images decoded as sRGB.
     """
-    stack = as_images(images, "images")
+    stack = as_shares(images, "images")
     object_mask = None if mask is None else as_mask(mask, stack[0].shape)
     return Finding(**_core.check_response(stack, as_angles(angles_rad, "angles_rad"), object_mask, response))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+from PIL.Image import Image
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
@@ -63,8 +65,24 @@ def _read_tags(path: Path) -> dict[int, Any]:
         # Not with Image.open, which tries every format that it knows and refuses large images.
         kind = JpegImageFile if header.startswith(b"\xff\xd8") else PngImageFile
         with kind(file) as image:
-            exif = image.getexif()
+            if kind is PngImageFile and "exif" not in image.info and (found := _png_exif(file)) is not None:
+                image.info["exif"] = found
+            # Not the function of PngImageFile, which decodes all pixels if no tags lie before them.
+            exif = Image.getexif(image)
             return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
+
+
+def _png_exif(file: BufferedReader) -> bytes | None:
+    """The EXIF data of a PNG file, which may also lie behind the pixels, where ExifTool writes them."""
+    file.seek(8)
+    while len(start := file.read(8)) == 8:
+        length, chunk = int.from_bytes(start[:4], "big"), start[4:]
+        if chunk == b"eXIf":
+            return b"Exif\0\0" + file.read(length)
+        if chunk == b"IEND":
+            break
+        file.seek(length + 4, 1)
+    return None
 
 
 def taken(path: Path) -> str | None:

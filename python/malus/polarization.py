@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_intensities, as_mask
+from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares
 from malus._core import PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -45,12 +45,12 @@ def calibrate(
 ) -> dict[str, Any]:
     """Polarizer angles and relative exposures for which K registered linear images fit sinusoids best.
 
-    angles_rad: as read off the scale; empty = unknown, which needs five images or more. Returns `angles_rad`, `gains` (geometric
-    mean 1), `residual_before` and `residual_after` (RMS, in standard deviations of the noise) and `improvement`: of the squared
-    residuals beyond noise, the share that the calibration removes. Images do not determine the polarizer zero (docs/method.md,
-    section 1).
+    images: as for `decompose`. angles_rad: as read off the scale; empty = unknown, which needs five images or more. Returns
+    `angles_rad`, `gains` (geometric mean 1), `residual_before` and `residual_after` (RMS, in standard deviations of the
+    noise) and `improvement`: of the squared residuals beyond noise, the share that the calibration removes. Images do not
+    determine the polarizer zero (docs/method.md, section 1).
     """
-    stack = as_intensities(images, "images")
+    stack = as_shares(images, "images")
     return _core.fit_polarizer(
         stack,
         [float(a) for a in angles_rad],

@@ -49,7 +49,7 @@ class SweepResult:
     views_used: int
     points_total: int
     points_used: int
-    """Triangulated points on the object."""
+    """Of a sample of the triangulated points on the object, those that match in the photos."""
     completeness: float
     """Share of the mask that has a depth."""
     highlights: float

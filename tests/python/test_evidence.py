@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -96,6 +98,9 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
     assert swapped.severity == "warning", swapped.message
     assert np.rad2deg(swapped.angles_rad) == pytest.approx([0, 90, 60, 30, 120, 150])
     assert evidence.check_response(images, angles).severity == "note"
+    counts = [np.rint(65535 * image).astype(np.uint16) for image in images]
+    assert evidence.check_order(counts, angles).message == evidence.check_order(images, angles).message
+    assert evidence.check_response(counts, angles).message == evidence.check_response(images, angles).message
 
 
 @pytest.mark.parametrize(
@@ -109,6 +114,10 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
         (
             lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, camera, scene=np.zeros((3, 3))),
             "scene has shape",
+        ),
+        (
+            lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, replace(camera, width=8, height=6)),
+            "camera has shape",
         ),
         (lambda state, camera: evidence.check_phase(state, np.zeros((3, 3))), "normals has shape"),
         (lambda _, camera: evidence.check_size(np.zeros(3), camera), "points_in_cam has shape"),

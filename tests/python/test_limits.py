@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
 from conftest import Outcome, edit, half_written, malus, malus_here, malus_station
 from malus import _core, _patterns
@@ -360,6 +361,24 @@ def test_damaged_tags_are_no_tags(tmp_path: Path) -> None:
     for content in (b"II*\0", b"II*\0\x08", b"MM\0*\0\0\0\x08\xff\xff", b"\xff\xd8", b"\x89PNG", b""):
         (tmp_path / "image").write_bytes(content)
         assert tags_of(tmp_path / "image") == {}
+
+
+def test_tags_of_a_png_are_found_without_its_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.png"
+    exif = Image.Exif()
+    exif[271] = "Maker"
+    exif.get_ifd(34665)[33434] = 0.25
+    Image.fromarray(np.arange(1200, dtype=np.uint16).reshape(30, 40)).save(path, exif=exif)
+    monkeypatch.setattr(PngImageFile, "load", lambda _: pytest.fail("decoded"))
+    before = tags_of(path)
+    assert (before[271], before[33434]) == ("Maker", 0.25)
+    content = path.read_bytes()
+    start = content.index(b"eXIf") - 4
+    end = start + 12 + int.from_bytes(content[start : start + 4], "big")
+    path.write_bytes(content[:start] + content[end:-12] + content[start:end] + content[-12:])
+    assert tags_of(path) == before
+    path.write_bytes(content[:start] + content[end:])
+    assert tags_of(path) == {}
 
 
 def photo(path: Path, resolution_unit: object = 2) -> None:

@@ -110,6 +110,9 @@ def test_polarization_on_arrays(dome: Dome) -> None:
     turned = found["angles_rad"] - ANGLES
     assert np.abs(np.degrees(turned - turned.mean())).max() < 0.3  # of 2°; the images do not determine the zero
     np.testing.assert_allclose(found["gains"], 1, atol=5e-3)
+    counts = [np.rint(65535 * image).astype(np.uint16) for image in dome.images]
+    residual = malus.polarization.calibrate(dome.images, wrong)["residual_before"]
+    assert malus.polarization.calibrate(counts, wrong)["residual_before"] == pytest.approx(residual, rel=0.01)
 
     zenith = np.linspace(0.05, 0.9, 20)
     degree = malus.polarization.specular_degree(zenith)

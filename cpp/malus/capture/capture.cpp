@@ -122,8 +122,13 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
     RawImage raw = input.load(k);
     const Levels levels = levels_of(raw, spec, options.saturation, input.names[k]);
     LinearImage linear = linearize(std::move(raw), curve, levels, weights, input.names[k], context);
+    if (spec.mosaic && linear.color) {
+      throw input_error(input.names[k] +
+                        ": is a color image, expected the samples of the polarization camera's sensor, one a pixel; a "
+                        "program that made colors of them mixed its polarizers");
+    }
     if (k == 0) {
-      exposures.color = linear.color && !spec.mosaic;
+      exposures.color = linear.color;
       exposures.noise =
           noise_model(spec, curve, levels, exposures.color ? std::optional(weights) : std::nullopt, linear);
     }

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <string>
 #include <vector>
 
 #include "malus/capture/noise_internal.h"
@@ -48,6 +49,23 @@ std::vector<Block> quietest_blocks(std::vector<Block> blocks) {
   return quietest;
 }
 
+/// A color mosaic's samples behind one polarizer and one green filter: every fourth pixel of every fourth row. All
+/// neighbors in the mosaic itself include other colors, whose differences would pass for noise.
+LinearImage samples_of_one_filter(const LinearImage& mosaic, const std::string& colors) {
+  constexpr int period = 4;
+  const int place = static_cast<int>(colors.find('G')), u0 = 2 * (place % 2), v0 = 2 * (place / 2);
+  const Size size = mosaic.intensity.size();
+  const Size alike{(size.width - u0 + period - 1) / period, (size.height - v0 + period - 1) / period};
+  LinearImage samples{Image<float>(alike), Mask(alike)};
+  for (int v = 0; v < alike.height; ++v) {
+    for (int u = 0; u < alike.width; ++u) {
+      samples.intensity(u, v) = mosaic.intensity(u0 + period * u, v0 + period * v);
+      samples.saturated(u, v) = mosaic.saturated(u0 + period * u, v0 + period * v);
+    }
+  }
+  return samples;
+}
+
 }  // namespace
 
 std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated) {
@@ -94,23 +112,25 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
   NoiseModel noise;
   noise.frames_averaged = spec.frames_averaged;
   const double frames = spec.frames_averaged;
+  double squares = color_weights ? 0 : 1;
+  if (color_weights) {
+    for (const double weight : *color_weights) squares += weight * weight;
+  }
   if (!spec.full_well_e) {
     // The estimate already includes quantization and the sum of channels.
-    if (const auto estimate = estimate_noise(base.intensity, base.saturated)) {
+    const std::optional<LinearImage> alike =
+        spec.mosaic_colors ? std::optional(samples_of_one_filter(base, *spec.mosaic_colors)) : std::nullopt;
+    const LinearImage& samples = alike ? *alike : base;
+    if (const auto estimate = estimate_noise(samples.intensity, samples.saturated)) {
       noise.full_well_e = estimate->full_well_e / frames;
-      noise.read_noise_e = estimate->read_noise_e / std::sqrt(frames);
+      noise.read_noise_e =
+          spec.read_noise_e ? *spec.read_noise_e / std::sqrt(squares) : estimate->read_noise_e / std::sqrt(frames);
       noise.quantization = levels.dn_step * curve.slope(0);
       return noise;
     }
   }
-  noise.full_well_e = spec.full_well_e.value_or(noise.full_well_e);
-  noise.read_noise_e = spec.read_noise_e.value_or(noise.read_noise_e);
-  if (color_weights) {
-    double squares = 0;
-    for (const double weight : *color_weights) squares += weight * weight;
-    noise.full_well_e /= squares;
-    noise.read_noise_e /= std::sqrt(squares);
-  }
+  noise.full_well_e = spec.full_well_e.value_or(noise.full_well_e) / squares;
+  noise.read_noise_e = spec.read_noise_e.value_or(noise.read_noise_e) / std::sqrt(squares);
   noise.quantization = levels.dn_step * curve.slope(0);
   if (!curve.is_identity()) {
     const double signal = 0.5;

@@ -15,8 +15,9 @@ namespace malus {
 /// bins. An upper bound where everything is textured. Nothing when fewer than 100 unsaturated blocks exist.
 std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated);
 
-/// Noise model of a station's linear images. Full well and read noise come from the station file, else from
-/// estimate_noise, else 20000 and 8 electrons. The model also includes:
+/// Noise model of a station's linear images. Full well and read noise come from the station file; without a full well
+/// there, what is missing comes from estimate_noise, for a color mosaic from the samples of one filter; else they are
+/// 20000 and 8 electrons. The model also includes:
 ///  - the weighted sum of color channels, Σ w² of one channel's variance;
 ///  - quantization behind a response curve that is not linear: its variance slope² step² / 12 grows about linearly with
 ///    the signal, so it is carried as additional shot noise (matched at half of white), plus a constant part at black.

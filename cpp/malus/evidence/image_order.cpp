@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iomanip>
+#include <limits>
 #include <numbers>
 #include <numeric>
 #include <sstream>
@@ -18,23 +19,8 @@ constexpr std::size_t min_samples = 200, most_permuted = 8;
 /// Of 82 rendered stations in the right order none exceeds 1.3; of 82 with two images exchanged 75 exceed
 /// `clear_ratio`.
 constexpr double clear_ratio = 4;
-
-std::vector<Order> orders_of(std::size_t count) {
-  Order order(count);
-  std::iota(order.begin(), order.end(), 0);
-  std::vector<Order> orders{order};
-  if (count <= most_permuted) {
-    while (std::ranges::next_permutation(order).found) orders.push_back(order);
-    return orders;
-  }
-  for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t j = i + 1; j < count; ++j) {
-      orders.push_back(order);
-      std::swap(orders.back()[i], orders.back()[j]);
-    }
-  }
-  return orders;
-}
+/// Squared residuals over the least ones up to which an order fits about as well.
+constexpr double about_as_well = 1.2;
 
 std::size_t moved(const Order& order) {
   std::size_t count = 0;
@@ -60,6 +46,55 @@ double misfit_of(const Order& order, const Eigen::MatrixXd& projection, const Ei
     }
   }
   return std::max(misfit, 0.0);
+}
+
+/// The least misfit of all orders that are tried, and the orders among which the best is found; the given one is first.
+struct TriedOrders {
+  struct Tried {
+    Order order;
+    double misfit;
+  };
+  std::vector<Tried> orders;
+  double least;
+};
+
+TriedOrders all_orders(const Eigen::MatrixXd& projection, const Eigen::MatrixXd& products, const Context& context) {
+  Order order(static_cast<std::size_t>(products.rows()));
+  std::iota(order.begin(), order.end(), 0);
+  TriedOrders tried{{}, std::numeric_limits<double>::infinity()};
+  do {
+    context.check_cancel();
+    tried.orders.push_back({order, misfit_of(order, projection, products)});
+    tried.least = std::min(tried.least, tried.orders.back().misfit);
+  } while (std::ranges::next_permutation(order).found);
+  return tried;
+}
+
+/// Exchanges of two images. Of hundreds of images there are so many that only those that may be the best are kept, and
+/// that a misfit is computed from the given order's.
+TriedOrders exchanges(const Eigen::MatrixXd& projection, const Eigen::MatrixXd& products, const Context& context) {
+  const Eigen::Index count = products.rows();
+  Order given(static_cast<std::size_t>(count));
+  std::iota(given.begin(), given.end(), 0);
+  const double as_given = misfit_of(given, projection, products);
+  TriedOrders tried{{}, as_given};
+  tried.orders.push_back({given, as_given});
+  for (Eigen::Index i = 0; i < count; ++i) {
+    context.check_cancel();
+    for (Eigen::Index j = i + 1; j < count; ++j) {
+      const Eigen::VectorXd a = projection.col(j) - projection.col(i), b = products.col(i) - products.col(j);
+      const double change = 2 * (a.dot(b) - a[i] * b[i] - a[j] * b[j]) +
+                            (projection(j, j) - projection(i, i)) * (products(i, i) - products(j, j));
+      const double misfit = std::max(as_given + change, 0.0);
+      const bool may_be_best = misfit <= about_as_well * std::min(tried.least, as_given / clear_ratio);
+      tried.least = std::min(tried.least, misfit);
+      if (!may_be_best) continue;
+      tried.orders.push_back({given, misfit});
+      std::swap(tried.orders.back().order[static_cast<std::size_t>(i)],
+                tried.orders.back().order[static_cast<std::size_t>(j)]);
+    }
+  }
+  return tried;
 }
 
 std::string in_degrees(const std::vector<double>& angles_rad) {
@@ -92,30 +127,27 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
     return result;
   }
   const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(angles_rad);
-  const std::vector<Order> orders = orders_of(images.size());
-  std::vector<double> misfits;
-  for (const Order& order : orders) {
-    context.check_cancel();
-    misfits.push_back(misfit_of(order, projection, products));
-  }
+  const TriedOrders tried = images.size() <= most_permuted ? all_orders(projection, products, context)
+                                                           : exchanges(projection, products, context);
   // Of orders that fit about as well, choose the one that moves the fewest images.
-  const double least = std::max(*std::ranges::min_element(misfits), 1e-12 * products.trace());
+  const double as_given = tried.orders.front().misfit, least = std::max(tried.least, 1e-12 * products.trace());
   std::size_t best = 0;
-  if (misfits.front() > clear_ratio * least) {
+  if (as_given > clear_ratio * least) {
     std::size_t fewest = images.size() + 1;
-    for (std::size_t i = 0; i < orders.size(); ++i) {
-      if (misfits[i] > 1.2 * least || moved(orders[i]) >= fewest) continue;
-      fewest = moved(orders[i]);
+    for (std::size_t i = 0; i < tried.orders.size(); ++i) {
+      const auto& [order, misfit] = tried.orders[i];
+      if (misfit > about_as_well * least || moved(order) >= fewest) continue;
+      fewest = moved(order);
       best = i;
     }
   }
-  result.misfit_ratio = misfits.front() / least;
+  result.misfit_ratio = as_given / least;
   finding.figures = {{"misfit_ratio", result.misfit_ratio}};
   if (best == 0) {
     finding.message = "the images are in the order of their angles, as far as the sinusoid tells";
     return result;
   }
-  for (std::size_t k = 0; k < images.size(); ++k) result.angles_rad[k] = angles_rad[orders[best][k]];
+  for (std::size_t k = 0; k < images.size(); ++k) result.angles_rad[k] = angles_rad[tried.orders[best].order[k]];
   std::ostringstream text;
   text << std::fixed << std::setprecision(result.misfit_ratio < 10 ? 1 : 0);
   text << "the images do not seem to be in the order of their angles: in another order the squared misfit of the "

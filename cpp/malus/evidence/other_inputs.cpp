@@ -23,7 +23,6 @@ Image<T> undone(const Image<T>& image, const ImageTurn& turn) {
 }
 
 constexpr std::size_t sampled_points = 5000;
-constexpr int cells_per_side = 32;
 
 /// Exchanges and negations of axes; those that change least come first.
 std::vector<Eigen::Matrix3d> exchanged_axes() {
@@ -82,7 +81,7 @@ SceneView undone(const SceneView& scene, const ImageTurn& turn) {
           undone(scene.s2, turn), undone(scene.variance, turn),   undone(scene.object, turn)};
 }
 
-CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object)
+CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object, int cells_per_side)
     : camera_(camera),
       object_(object),
       cell_px_(std::max(1, std::max(camera.size.width, camera.size.height) / cells_per_side)),

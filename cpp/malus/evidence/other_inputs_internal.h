@@ -32,13 +32,14 @@ SceneView undone(const SceneView& scene, const ImageTurn& turn);
 struct CloudCoverage {
   double in_view = 0;    ///< share of the points that project into the image
   double on_object = 0;  ///< share of the points that project onto the object
-  double covered = 0;    ///< share of the object that has points, in cells of 1/32 of the image
+  double covered = 0;    ///< share of the object's cells that have points
 };
 
 /// Measures how much of the object a cloud covers. camera and object have the same size and must outlive this counter.
+/// cells_per_side: number of cells along the image's larger side.
 class CoverageCounter {
  public:
-  CoverageCounter(const Pinhole& camera, const Mask& object);
+  CoverageCounter(const Pinhole& camera, const Mask& object, int cells_per_side = 32);
 
   /// Uses a few thousand of the cloud's points, so that each of many variants takes a millisecond.
   CloudCoverage operator()(const PointCloud& cloud, const Eigen::Affine3d& cam_from_cloud) const;

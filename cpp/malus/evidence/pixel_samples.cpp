@@ -9,6 +9,8 @@ namespace malus {
 namespace {
 
 constexpr double most_samples = 200000;
+/// With many images there are fewer samples, so that they take no more memory than this many values.
+constexpr double most_values = 2e7;
 constexpr float darkest = 0.02F, brightest = 0.9F;
 
 /// Adds a pixel's values to the window's. Returns false if the pixel is off the mask, dark or nearly saturated.
@@ -39,7 +41,8 @@ Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad) {
 PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px) {
   PixelSamples samples;
   const Size size = images.front().size();
-  const int stride = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / most_samples)) + 1;
+  const double wanted = std::min(most_samples, most_values / static_cast<double>(images.size()));
+  const int stride = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / wanted)) + 1;
   const int side = 2 * reach_px + 1;
   for (int v = reach_px; v < size.height - reach_px; v += stride) {
     for (int u = reach_px; u < size.width - reach_px; u += stride) {

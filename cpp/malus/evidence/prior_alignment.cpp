@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <numbers>
@@ -33,6 +34,10 @@ constexpr double too_little_covered = 0.1;
 /// Coverage by a moved cloud from which that move is a likely explanation.
 constexpr double moved_covers = 0.3;
 constexpr std::size_t ideas_tried = 6;
+/// A cloud with fewer points per pixel of the reduced view leaves gaps there wherever it lies; that it lies on the
+/// object is seen by its having points in this share of the object's large cells.
+constexpr double sparse_points = 0.3, sparse_covers = 0.4;
+constexpr int large_cells_per_side = 6;
 /// Squared correlations below which colors or phases of prior and images are unrelated, and the depth step across the
 /// mask's outline, in pixels of the reduced view, below which the prior has no outline there.
 constexpr double common_color = 0.05, common_phase = 0.12, common_step = 1.5;
@@ -272,6 +277,16 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
       best->what + ": only then does it fit the images", best->remedy);
 }
 
+/// Number of the cloud's points on the object, if these are too few to cover it but lie all over it; else 0.
+double sparse_points_on_object(const PointCloud& cloud, const Eigen::Affine3d& given, const CloudCoverage& coverage,
+                               const SceneView& view, const AlignmentScene& scene) {
+  const double points = coverage.on_object * static_cast<double>(cloud.points.size());
+  const auto pixels = std::ranges::count_if(view.object, [](std::uint8_t pixel) { return pixel != 0; });
+  if (points >= sparse_points * static_cast<double>(pixels)) return 0;
+  const CoverageCounter coverage_of(scene.camera, scene.object, large_cells_per_side);
+  return coverage_of(cloud, given).covered >= sparse_covers ? points : 0;
+}
+
 /// Compares the prior's outline with the mask's, if the prior includes the object's surroundings.
 void judge_outline(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
                    const MaskCoverage& covered, PriorAlignment& found) {
@@ -390,11 +405,22 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   found.gsd = priors.at(factor).median_depth / scene.camera.focal();
   AlignmentPlace place;
   if (covered.object >= too_little_covered) place = compare(priors, scene, scenes, found, context);
-  if (found.instead.empty() && (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
+  const double sparse = covered.object < PriorAlignment::poorly_covered
+                            ? sparse_points_on_object(cloud, given, coverage, scenes.at(factor), scene)
+                            : 0;
+  if (sparse == 0 && found.instead.empty() &&
+      (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
     try_other_clouds(cloud, pose, scene, coverage_of, scenes, place, found, context);
   judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
   judge_relation(priors.at(factor), scenes.at(factor), scene, covered, found);
-  judge_coverage(covered, "cloud", found);
+  if (sparse == 0 || covered.is_mask_inverted()) {
+    judge_coverage(covered, "cloud", found);
+  } else if (covered.object < too_little_covered) {
+    say(found, Severity::note,
+        "whether the prior lies where the images show the object could not be checked: the cloud has only " +
+            rounded(sparse, 0) + " points on it",
+        "");
+  }
   add_figures(found);
   return found;
 }

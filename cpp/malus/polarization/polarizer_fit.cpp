@@ -20,6 +20,8 @@ constexpr int robust_passes = 2;
 /// Number of cells that an object is divided into, unless cells would exceed the largest size.
 constexpr double wanted_cells = 5000;
 constexpr int largest_cell_px = 16;
+/// With fewer cells, as on a wire or under a mask with many small holes, smaller cells are tried.
+constexpr std::size_t fewest_cells = 500;
 /// Ratio to the typical residual at which a pixel has half its weight.
 constexpr double cauchy_scale = 3;
 /// Standard deviation that stands for "unknown" where a matrix must be invertible [rad].
@@ -72,15 +74,7 @@ class Cells {
     std::size_t object = 0;
     for (const std::uint8_t m : mask) object += m != 0;
     side_ = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(object) / wanted_cells)), 1, largest_cell_px);
-    size_ = {images[0].width() / side_, images[0].height() / side_};
-    parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
-      const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
-      for (int v = size_.height * row / parts_per_side; v < size_.height * (row + 1) / parts_per_side; ++v) {
-        for (int u = size_.width * column / parts_per_side; u < size_.width * (column + 1) / parts_per_side; ++u) {
-          if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
-        }
-      }
-    });
+    while (fill(images, noise, mask, saturated, context) < fewest_cells && side_ > 1) side_ /= 2;
   }
 
   const std::vector<Part>& parts() const { return parts_; }
@@ -94,6 +88,24 @@ class Cells {
   Eigen::Index count() const { return count_; }
 
  private:
+  /// Replaces the cells by those of the present size; returns their number.
+  std::size_t fill(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask,
+                   const Mask& saturated, const Context& context) {
+    size_ = {images[0].width() / side_, images[0].height() / side_};
+    parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
+      const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
+      parts_[part] = {};
+      for (int v = size_.height * row / parts_per_side; v < size_.height * (row + 1) / parts_per_side; ++v) {
+        for (int u = size_.width * column / parts_per_side; u < size_.width * (column + 1) / parts_per_side; ++u) {
+          if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
+        }
+      }
+    });
+    std::size_t count = 0;
+    for (const Part& part : parts_) count += part.cells.size();
+    return count;
+  }
+
   bool is_usable(int column, int row, const Mask& mask, const Mask& saturated) const {
     for (int v = row * side_; v < (row + 1) * side_; ++v) {
       for (int u = column * side_; u < (column + 1) * side_; ++u) {

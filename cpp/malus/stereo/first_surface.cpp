@@ -101,7 +101,8 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   const std::vector<StationPoint> used = evenly(points, most_compared);
   const std::vector<float> scores = point_scores(used, level, settings, context);
   std::vector<float> ranked = scores;
-  const auto fewest = static_cast<std::size_t>(min_points);
+  // More points may be asked for on the object than are compared here.
+  const std::size_t fewest = std::min(static_cast<std::size_t>(min_points), used.size());
   std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(fewest - 1), ranked.end(),
                    std::greater<>());
   const float least = std::min(visible_score, ranked[fewest - 1]);

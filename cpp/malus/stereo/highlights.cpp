@@ -66,17 +66,18 @@ Image<float> log_ratio(const SweepInput& input, const Image<float>& station, con
 }  // namespace
 
 Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
+                     std::span<const std::size_t> seeing,
                      const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
                      int reach_px, const Context& context) {
-  if (views.size() < least_views) return Mask(input.mask.size(), 1, 0);
+  if (seeing.size() < least_views) return Mask(input.mask.size(), 1, 0);
   const OpenCvThreads opencv_threads(context.threads);
   // Half the resolution has less noise, and there a surface error of one pixel does not matter.
   const Image<float> station = halved(reference, context);
   const Mask mask = halved(input.mask, context);
   const Image<float> surface = halved_surface(log_depth, mask, context);
-  std::vector<Image<float>> ratios(views.size());
-  parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
-    ratios[k] = log_ratio(input, station, mask, views[k], halved_photo(k), surface, context);
+  std::vector<Image<float>> ratios(seeing.size());
+  parallel_for(context, seeing.size(), 1, [&](std::size_t k, std::size_t) {
+    ratios[k] = log_ratio(input, station, mask, views[seeing[k]], halved_photo(seeing[k]), surface, context);
   });
 
   Image<float> excess(mask.size(), 1, none);

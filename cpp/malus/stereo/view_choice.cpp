@@ -21,6 +21,20 @@ constexpr double largest_fit_error_px = 0.05;
 /// Photos with a shorter side below this are not halved.
 constexpr int least_halved_px = 16;
 
+/// Spacing of the sample pixels, px of the level. On a small or thin object, which has fewer samples than a side of the
+/// image, they lie closer together.
+int sample_spacing(const Mask& mask, const Image<float>& log_depth) {
+  int step = std::max(1, std::min(mask.width(), mask.height()) / samples_a_side);
+  for (; step > 1; step /= 2) {
+    int samples = 0;
+    for (int v = 0; v < mask.height(); v += step) {
+      for (int u = 0; u < mask.width(); u += step) samples += mask(u, v) != 0 && std::isfinite(log_depth(u, v));
+    }
+    if (samples >= samples_a_side) break;
+  }
+  return step;
+}
+
 }  // namespace
 
 ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, const SweepOptions& options,
@@ -39,7 +53,7 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, cons
 }
 
 void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth) {
-  const int step = std::max(1, std::min(level.mask.width(), level.mask.height()) / samples_a_side);
+  const int step = sample_spacing(level.mask, log_depth);
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
     double total = 0;
@@ -65,7 +79,8 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
     photo.parallax = median(parallax);
     photo.resolution = resolution.empty() ? 1 : median(resolution);
     const double a = median(angle), share = total > 0 ? static_cast<double>(angle.size()) / total : 0;
-    const bool usable = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180 && photo.parallax > 0;
+    photo.sees = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180;
+    const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
     const Eigen::Vector3d& centre = photo.projection.centre_in_station();
     photo.azimuth_rad = std::atan2(centre.y(), centre.x());
@@ -102,6 +117,14 @@ void ViewChoice::split() {
 void ViewChoice::choose(const MatchLevel& level, const Image<float>& log_depth) {
   measure(level, log_depth);
   split();
+}
+
+std::vector<std::size_t> ViewChoice::seeing() const {
+  std::vector<std::size_t> numbers;
+  for (std::size_t k = 0; k < photos_.size(); ++k) {
+    if (photos_[k].sees) numbers.push_back(k);
+  }
+  return numbers;
 }
 
 double ViewChoice::parallax(const MatchLevel& level) const {

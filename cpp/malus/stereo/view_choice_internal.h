@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <span>
 #include <utility>
@@ -25,6 +26,8 @@ class ViewChoice {
   /// own, and splits them into two halves of similar viewing directions. Throws a data error if no photo sees the
   /// surface well.
   void choose(const MatchLevel& level, const Image<float>& log_depth);
+  /// Numbers of the photos that see the surface within the largest angle, whether they were chosen or not.
+  std::vector<std::size_t> seeing() const;
   /// Median parallax of the chosen photos, px of the level per unit of ln z.
   double parallax(const MatchLevel& level) const;
   /// Sets level.views to the photos chosen, each at the level of its pyramid that matches the station's resolution;
@@ -50,6 +53,7 @@ class ViewChoice {
     double parallax = 0;     ///< px of the station's image per unit of ln z, median
     double resolution = 1;   ///< px of the photo per px of the station
     double quality = 0;      ///< 0 = not used
+    bool sees = false;       ///< the surface, within the largest angle
     double azimuth_rad = 0;  ///< direction of the camera's center around the station's axis
     int subset = 0;
   };

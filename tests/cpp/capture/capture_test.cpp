@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <array>
 #include <atomic>
+#include <cmath>
 #include <random>
 #include <thread>
 
@@ -219,6 +221,40 @@ TEST(Noise, is_estimated_from_a_flat_image) {
   EXPECT_NEAR(noise->full_well_e, 8000, 800);
   EXPECT_NEAR(noise->variance(0.05) / truth.variance(0.05), 1, 0.25);
   EXPECT_FALSE(estimate_noise(image, Mask(image.size(), 1, 255)));
+}
+
+TEST(Noise, of_a_color_mosaic_does_not_include_its_colors) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal;
+  const NoiseModel truth{.full_well_e = 8000, .read_noise_e = 4};
+  LinearImage mosaic{Image<float>({1280, 960}), Mask({1280, 960})};
+  for (int v = 0; v < 960; ++v) {
+    for (int u = 0; u < 1280; ++u) {
+      constexpr std::array tints{0.5, 1.0, 1.0, 0.7}, polarizers{0.9, 0.8, 1.2, 1.1};
+      const auto place = [](int x, int y) { return static_cast<std::size_t>(2 * (y % 2) + x % 2); };
+      const double signal = (0.1 + 0.6 * u / 1280) * tints[place(u / 2, v / 2)] * polarizers[place(u, v)];
+      mosaic.intensity(u, v) = static_cast<float>(signal + std::sqrt(truth.variance(signal)) * normal(random));
+    }
+  }
+  PolarizedSpec spec;
+  spec.mosaic = std::array<double, 4>{90, 45, 135, 0};
+  for (const char* const colors : {"RGGB", "GRBG"}) {
+    spec.mosaic_colors = colors;
+    const NoiseModel noise = noise_model(spec, {}, {0, 1, 0, 0.995}, std::nullopt, mosaic);
+    EXPECT_NEAR(noise.variance(0.4) / truth.variance(0.4), 1, 0.25) << colors;
+  }
+}
+
+TEST(Noise, a_stated_read_noise_is_taken_beside_an_estimated_full_well) {
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal;
+  LinearImage image{Image<float>({400, 300}), Mask({400, 300})};
+  for (float& value : image.intensity) value = static_cast<float>(0.5 + 0.01 * normal(random));
+  PolarizedSpec spec;
+  spec.read_noise_e = 25;
+  EXPECT_EQ(noise_model(spec, {}, {0, 1, 0, 0.995}, std::nullopt, image).read_noise_e, 25);
+  spec.read_noise_e.reset();
+  EXPECT_NE(noise_model(spec, {}, {0, 1, 0, 0.995}, std::nullopt, image).read_noise_e, 25);
 }
 
 TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {

@@ -223,6 +223,24 @@ TEST(Mosaic, a_color_station_keeps_its_color) {
   EXPECT_NEAR(blue / green, 0.8, 0.01);
 }
 
+TEST(Mosaic, a_picture_in_color_is_no_mosaic) {
+  const auto expect_refused = [](const std::string& colors) {
+    CaptureInput input = input_of({}, {});
+    input.names = {"m.png"};
+    input.polarized.mosaic = cell_deg;
+    if (!colors.empty()) input.polarized.mosaic_colors = colors;
+    input.load = [](std::size_t) {
+      Image<float> rgb({96, 64}, 3, 0.4f);
+      rgb(5, 7, 2) = 0.5f;
+      return RawImage{rgb, 32, true, 1.0};
+    };
+    expect_error(
+        ErrorCode::input, [&] { capture_stack(input, {}, Context{}); }, "m.png: is a color image");
+  };
+  expect_refused("");
+  expect_refused("RGGB");
+}
+
 /// Phase of the mean Stokes vector of a 100 × 100 px square, in degrees.
 double phase_deg(const PolarizedStack& stack, int u0, int v0) {
   double s1 = 0, s2 = 0;

@@ -206,6 +206,19 @@ TEST(PriorAlignment, FindsOtherUnitsAndPoses) {
       << missing.finding.text();
 }
 
+TEST(PriorAlignment, ASparseCloudIsNoMistakeUnlessItLiesElsewhere) {
+  EvidenceScene scene(false);
+  PointCloud sparse;
+  for (std::size_t i = 0; i < scene.cloud.points.size(); i += 97) sparse.points.push_back(scene.cloud.points[i]);
+  scene.cloud = sparse;
+  const PriorAlignment found = check(scene, scene.cloud);
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+  EXPECT_NE(found.finding.message.find("the cloud has only 14"), std::string::npos) << found.finding.text();
+  EXPECT_EQ(check(scene, scene.moved(motion(170, 0))).finding.severity, Severity::error);
+  for (Eigen::Vector3d& point : scene.cloud.points) point *= 1e-3;
+  EXPECT_NE(check(scene, scene.cloud).finding.severity, Severity::note);
+}
+
 TEST(PriorAlignment, FindsInvertedMasks) {
   EvidenceScene scene;
   for (std::uint8_t& pixel : scene.object) pixel = pixel != 0 ? 0 : 255;

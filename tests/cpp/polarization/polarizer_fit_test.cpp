@@ -79,6 +79,18 @@ TEST(PolarizerFit, DoesNotDependOnThreads) {
   EXPECT_EQ(fit(scene, angles, gains, nominal_deg, 1).angles_rad, fit(scene, angles, gains, nominal_deg, 3).angles_rad);
 }
 
+TEST(PolarizerFit, ReadsAnObjectThatIsThinnerThanACell) {
+  const std::vector<double> angles{2.1, 28.2, 62.5, 88.3, 121.7, 147.9}, gains(6, 1.0);
+  const PolarizerScene scene(true);
+  Mask wires(scene.size);
+  for (int v = 0; v < scene.size.height; ++v)
+    for (int u = 0; u < scene.size.width; u += 2) wires(u, v) = 255;
+  const PolarizerFit found = fit_polarizer(scene.images(radians(angles), gains, low_noise), radians(nominal_deg),
+                                           low_noise, wires, {}, {}, Context{});
+  EXPECT_EQ(found.pixels, 320 * 240 / 2);
+  EXPECT_LT(worst_product_error(found, angles, gains), 1e-3);
+}
+
 TEST(PolarizerFit, RefusesTooFewImagesAndMismatchedInput) {
   const PolarizerScene scene;
   const auto images = scene.images(radians({0, 45, 90, 135}), {1, 1, 1, 1}, low_noise);

@@ -92,6 +92,17 @@ TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
   EXPECT_LT(errors.median_gsd, 0.15);
 }
 
+TEST_F(SweepOfBumps, MayAskForMorePointsThanItCompares) {
+  SweepInput input = scene_->input;
+  const std::size_t given = input.points.size();
+  for (std::size_t k = 0; k < 2000; ++k) input.points.push_back(scene_->input.points[k % given]);
+  SweepOptions options = test_options();
+  options.min_points = 2000;
+  const SweepResult result = sweep_surface(input, scene_->views, options, {});
+  EXPECT_EQ(result.points_used, 1500);
+  EXPECT_GT(result.completeness, 0.9);
+}
+
 TEST_F(SweepOfBumps, AKnownSurfaceReducesTheErrorsInNoise) {
   SweepInput input = scene_->input;
   std::vector<SweepView> views = scene_->views;
@@ -163,6 +174,21 @@ TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
     for (int u = 94; u <= 106; ++u) EXPECT_TRUE(std::isnan(result.depth(u, v))) << u << ' ' << v;
   }
   EXPECT_LT(errors_of(result, scene_->truth).rms_gsd, 0.3);
+
+  // Photos of the object's back have no say.
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> shade(0.1F, 0.9F);
+  for (int k = 0; k < 20; ++k) {
+    SweepView back{Image<float>(distorted_lens().size), distorted_lens(), looking_from({40.0 * k - 400, 90, 850})};
+    for (int v = 0; v < back.intensity.height(); v += 10) {
+      for (int u = 0; u < back.intensity.width(); u += 10) {
+        const float value = shade(random);
+        for (int i = 0; i < 100; ++i) back.intensity(u + i % 10, v + i / 10) = value;
+      }
+    }
+    shining.views.push_back(std::move(back));
+  }
+  EXPECT_EQ(sweep_surface(shining.input, shining.views, test_options(), {}).highlights, result.highlights);
 }
 
 TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {

@@ -69,5 +69,17 @@ TEST(ViewChoice, ReportsTheParallaxOfTheChosenPhotos) {
   EXPECT_DOUBLE_EQ(photos.parallax(levels.half), photos.parallax(levels.full) / 2);
 }
 
+TEST(ViewChoice, FindsAnObjectBetweenTheSampledColumns) {
+  Scene scene = make_scene(plane, 4);
+  Levels levels(scene);
+  levels.full.mask = Mask(station_size);
+  for (int v = 0; v < station_size.height; ++v)
+    for (int u = 81; u < 84; ++u) levels.full.mask(u, v) = 255;
+  const Image<float> log_depth(station_size, 1, static_cast<float>(std::log(distance_mm)));
+  ViewChoice photos(scene.input, scene.views, test_options(), {});
+  photos.choose(levels.full, log_depth);
+  EXPECT_NEAR(photos.parallax(levels.full) / (125 / distance_mm * focal), 1, 0.15);
+}
+
 }  // namespace
 }  // namespace malus
