@@ -444,6 +444,8 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "iiif": (_write_iiif, "iiif", ("",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
+#: Suffixes of further files that a format leaves beside the file it is asked for.
+BESIDE = {"obj": (".png", ".mtl"), "orthophoto": (".pgw",), "rti": (".ptm.txt",)}
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
 #: The formats that show either the photograph's color or the albedo; IIIF shows both.
@@ -526,19 +528,22 @@ def export(
     exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
-        _keep_if_unchanged(path, exporter.workspace)
+        _keep_if_unchanged(path, exporter.workspace, BESIDE.get(format, ()))
         if output is None:
             exported.note(exporter.workspace, path)
     return path
 
 
-def _keep_if_unchanged(path: Path, workspace: Workspace) -> None:
-    """Remove the exported file if a run changed the workspace meanwhile: the file could mix two surfaces."""
+def _keep_if_unchanged(path: Path, workspace: Workspace, beside: tuple[str, ...]) -> None:
+    """Remove the exported file, and those with the suffixes `beside`, if a run changed the workspace meanwhile: they could mix two
+    surfaces.
+    """
     try:
         workspace.require_unchanged()
     except InputError:
         if path.is_dir():
             shutil.rmtree(path)
         else:
-            path.unlink()
+            for file in (path, *map(path.with_suffix, beside)):
+                file.unlink()
         raise

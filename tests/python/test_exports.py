@@ -639,3 +639,19 @@ def test_an_export_is_discarded_if_a_run_changes_the_surface_meanwhile(
     with pytest.raises(malus.InputError, match="was changed by another run meanwhile"):
         malus.export(work, "ply", tmp_path / "b.ply")
     assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.parametrize("format", ["obj", "orthophoto", "rti"])
+def test_files_beside_an_export_that_a_run_overtakes_are_not_kept(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    def changed(_: malus.Workspace) -> None:
+        raise malus.InputError("was changed by another run meanwhile")
+
+    path = tmp_path / f"a{exports.FORMATS[format][2][0]}"
+    malus.export(finished_grid, format, path)
+    assert len(list(tmp_path.iterdir())) == 1 + len(exports.BESIDE[format])
+    monkeypatch.setattr(malus.Workspace, "require_unchanged", changed)
+    with pytest.raises(malus.InputError, match="meanwhile"):
+        malus.export(finished_grid, format, path)
+    assert not list(tmp_path.iterdir())
