@@ -367,6 +367,8 @@ def test_relighting_data_are_the_fused_normals(work: Path, page: Page) -> None:
     right, up = unpack(data["fused"]).view(np.int16).reshape(2, 160, 200) / data["scale"]
     np.testing.assert_allclose(right, normals[..., 0], atol=0.6 / data["scale"])
     np.testing.assert_allclose(up, -normals[..., 1], atol=0.6 / data["scale"])
+    slope = normals[..., :2] * (1, -1) / -normals[..., 2:]
+    np.testing.assert_allclose(data["median_slope"], np.median(slope.reshape(-1, 2), axis=0), atol=1e-5)
 
 
 def test_mesh_data_are_the_depth_map(work: Path, page: Page) -> None:
