@@ -25,7 +25,7 @@ from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
-from malus.raster import sample
+from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
@@ -167,8 +167,7 @@ class Exporter:
     def cloud(self) -> tuple[Mesh, NDArray[np.float64]]:
         """The surface's vertices (as a mesh) and their standard deviations of depth."""
         mesh = self.mesh()
-        sigma = sample(self.surface.sigma[..., None], self.pixels(mesh.vertices))[:, 0]
-        return mesh, sigma
+        return mesh, sample_known(self.surface.sigma, self.pixels(mesh.vertices))
 
 
 @dataclass(frozen=True)

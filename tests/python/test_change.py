@@ -168,6 +168,27 @@ def test_limit_without_scatter_includes_the_registration_error(
     assert np.nanmedian(np.abs(found.limit / expected - 1)[inner]) < 0.01
 
 
+def test_every_distance_at_the_rim_of_an_object_has_a_limit(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A missing deviation beside the rim made the limit there NaN, and with it the figures of the whole comparison."""
+    raster = malus.Workspace.raster
+
+    def masked(workspace: malus.Workspace, name: str) -> np.ndarray:
+        found = raster(workspace, name).copy()
+        v, u = np.indices(found.shape[:2])
+        if name.startswith("fused/"):
+            found[np.hypot(u - found.shape[1] / 2, v - found.shape[0] / 2) > 50] = np.nan
+        return found
+
+    monkeypatch.setattr(malus.Workspace, "raster", masked)
+    before = Exporter(malus.Workspace(dates[0]))
+    found = measure(before, before, register(before, before, same_frame=True, threads=2), 2)
+    compared = np.isfinite(found.distance)
+    assert compared.sum() > 0.99 * np.isfinite(before.surface.depth).sum()
+    np.testing.assert_array_equal(np.isfinite(found.limit), compared)
+
+
 @pytest.mark.parametrize("option", ["--json", "--quiet"])
 def test_json_and_quiet_output_keep_every_warning(tmp_path: Path, option: str, monkeypatch: pytest.MonkeyPatch) -> None:
     change = Change(np.zeros(0), np.zeros(0), [], {"warnings": ["one [thing]", "another"]}, tmp_path)

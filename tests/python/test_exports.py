@@ -241,6 +241,19 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_array_equal(records["green"], cloud.green)
 
 
+def test_points_at_the_rim_have_their_own_deviation(workspace: malus.Workspace) -> None:
+    """Each point at the right or lower rim of a masked object had none."""
+    exporter = exports.Exporter(workspace)
+    surface = exporter.surface
+    v, u = np.indices(surface.depth.shape)
+    outside = np.hypot(u - 100, v - 80) > 60
+    depth, sigma = (np.where(outside, np.float32(np.nan), values) for values in (surface.depth, surface.sigma))
+    exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, sigma, surface.camera)
+    cloud, deviations = exporter.cloud()
+    column, row = np.rint(exporter.pixels(cloud.vertices)).astype(int).T
+    np.testing.assert_allclose(deviations, sigma[row, column], rtol=1e-6)
+
+
 def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     library = pytest.importorskip("pye57")
     file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
