@@ -83,11 +83,11 @@ def section(position: Sequence[float | None], height: Sequence[float | None]) ->
     return [points[piece] for piece in pieces if known[piece[0]] and len(piece) > 1]
 
 
-def set_apart(layers: list[Layer], by: int) -> None:
-    """Move every group of `by` layers below the group before it, so that sections do not lie over each other."""
+def set_apart(groups: Sequence[Sequence[Layer]]) -> None:
+    """Move every group of layers below the group before it, so that sections do not lie over each other."""
     top = 0.0
-    for k in range(0, len(layers), by):
-        group = [line for layer in layers[k : k + by] for line in layer.lines]
+    for layers in groups:
+        group = [line for layer in layers for line in layer.lines]
         if not group:
             continue
         heights = np.concatenate([line[:, 1] for line in group])
@@ -99,6 +99,8 @@ def set_apart(layers: list[Layer], by: int) -> None:
 
 def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, str]) -> None:
     """Write layers as polylines of a DXF drawing (R2010), station unit; `words` become custom properties of the drawing."""
+    if not any(layer.lines for layer in layers):
+        raise DataError(f"{path}: there is nothing to draw")
     ezdxf = extra("ezdxf", "ezdxf", f"{path}: DXF")
     document = ezdxf.new("R2010", setup=False)
     document.header["$INSUNITS"] = _DXF_UNITS[unit]

@@ -259,14 +259,16 @@ def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     profiles = exporter.workspace.quality["profiles"]
     if not profiles:
         raise InputError(f"{path}: the station file has no [[profile]], along which to cut")
-    layers = [
-        drawings.Layer(f"{profile['name']} {surface}", drawings.section(profile["position"], profile[surface]))
+    sections = [
+        [
+            drawings.Layer(f"{profile['name']} {surface}", drawings.section(profile["position"], profile[surface]))
+            for surface in ("prior", "fused")
+            if profile[surface]
+        ]
         for profile in profiles
-        for surface in ("prior", "fused")
-        if profile[surface]
     ]
-    drawings.set_apart(layers, by=len(layers) // len(profiles))
-    _write_drawing(path, layers, exporter, "sections")
+    drawings.set_apart(sections)
+    _write_drawing(path, [layer for section in sections for layer in section], exporter, "sections")
 
 
 def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:

@@ -491,6 +491,28 @@ def test_sections_equal_the_profiles(workspace: malus.Workspace, tmp_path: Path)
         np.testing.assert_allclose(read[:, :2], line, atol=1e-9)
 
 
+@pytest.mark.parametrize("profiles", [("beside", "1", "beside"), ("1", "beside")])
+def test_a_profile_beside_the_surface_has_no_section(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, profiles: tuple[str, ...]
+) -> None:
+    """It ended the export, or moved the prior's line away from the fused one of another profile."""
+    ezdxf = pytest.importorskip("ezdxf")
+    quality = json.loads(json.dumps(workspace.quality))
+    (known,) = quality["profiles"]
+    beside = {**known, "name": "2", "position": [], "prior": [], "fused": []}
+    quality["profiles"] = [known if name == "1" else beside for name in profiles]
+    monkeypatch.setattr(malus.Workspace, "quality", quality)
+    path = malus.export(workspace.folder, "sections", tmp_path / "a.dxf")
+    lines = {line.dxf.layer: np.array(list(line.get_points("xy"))) for line in ezdxf.readfile(path).modelspace()}
+    assert set(lines) == {"1 prior", "1 fused"}
+    apart = lines["1 prior"][:, 1] - lines["1 fused"][:, 1]
+    np.testing.assert_allclose(apart, np.array(known["prior"], float) - np.array(known["fused"], float), atol=1e-6)
+    quality["profiles"] = [beside]
+    with pytest.raises(malus.DataError, match="nothing to draw"):
+        malus.export(workspace.folder, "sections", tmp_path / "b.dxf")
+    assert not (tmp_path / "b.dxf").exists()
+
+
 def test_colmap_can_continue_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     program = shutil.which("colmap")
     if program is None:
