@@ -19,7 +19,7 @@ from conftest import DENT, LATER, LUMP, malus_here
 from conftest import malus as run_malus
 from malus.change import Change
 from malus.change.regions import find_regions
-from malus.change.registration import register
+from malus.change.registration import _from_features, register
 from malus.change.run import _warnings
 from malus.change.significance import Distances, measure
 from malus.exports import Exporter
@@ -79,6 +79,21 @@ def test_registration_by_features_recovers_the_frame(dates: tuple[Path, Path], o
     moved = np.array(registration["rotation"]) @ at + registration["translation"]
     np.testing.assert_allclose(moved, [0, 0, middle], atol=gsd)
     assert registration["size_after_over_before"] == pytest.approx(1, abs=2e-3)
+
+
+def test_frames_far_from_the_origin_are_found_by_features(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with coordinates of a national grid: 5000 km from its origin."""
+    before, after = (Exporter(malus.Workspace(work)) for work in dates)
+    near = _from_features(before, after)
+    far = np.array([5e8, 5.4e9, 3e5])
+    points = malus.Workspace.points
+    monkeypatch.setattr(malus.Workspace, "points", lambda *given: points(*given) + far)
+    found = _from_features(before, after)
+    assert near is not None and found is not None
+    assert found[1] > 0.9 * near[1] and found[2] == pytest.approx(near[2], abs=1e-3)
+    np.testing.assert_allclose(found[0].rotation, near[0].rotation, atol=1e-3)
 
 
 def test_files_are_readable_by_other_programs(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:

@@ -174,17 +174,19 @@ def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, floa
     points, points_after, there = points[usable], points_after[usable], there[usable]
     if len(points) < _LEAST_MATCHES:
         return None
+    # About their middle, because SQPNP squares coordinates: in a national frame (meters from the equator) nothing would be left.
+    middle = points.mean(0)
     camera = after.workspace.camera
     lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     cv2.setRNGSeed(1)
     found, _, _, inliers = cv2.solvePnPRansac(
-        points, there, lens, None, iterationsCount=5000, reprojectionError=_AGREEMENT_PX, confidence=0.9999,
+        points - middle, there, lens, None, iterationsCount=5000, reprojectionError=_AGREEMENT_PX, confidence=0.9999,
         flags=cv2.SOLVEPNP_SQPNP,
     )  # fmt: skip
     if not found or inliers is None or len(inliers) < _LEAST_MATCHES:
         return None
     chosen = inliers.ravel()
     source, target = points_after[chosen], points[chosen]
-    fitted, size = cv2.estimateAffine3D(source, target, force_rotation=True)
+    fitted, size = cv2.estimateAffine3D(source - source.mean(0), target - target.mean(0), force_rotation=True)
     rotation = np.asarray(fitted[:, :3], dtype=np.float64)
     return Motion(rotation, target.mean(0) - rotation @ source.mean(0)), len(chosen), 1 / float(size)
