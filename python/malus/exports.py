@@ -22,7 +22,7 @@ from malus._files import replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
-from malus.errors import InputError
+from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
 from malus.raster import sample, sample_known
@@ -35,6 +35,9 @@ from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
 from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
+
+#: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
+_MOST_ROUNDING_GSD = 0.1
 
 
 class Exporter:
@@ -217,6 +220,7 @@ def _turn_y_up(path: Path) -> None:
 
 def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
+    _require_few_digits(exporter, mesh, path)
     corners = mesh.vertices[mesh.triangles]
     facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -229,6 +233,17 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(said.encode("ascii", "replace")[:80].ljust(80))
         file.write(np.uint32(len(facets)).tobytes())
         file.write(facets.tobytes())
+
+
+def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
+    """DataError for a mesh so far from the origin that the 24 bits of STL's coordinates would tear it into steps."""
+    farthest, gsd = float(np.abs(mesh.vertices).max()), float(exporter.workspace.quality["gsd"])
+    rounding = farthest * 2.0**-24
+    if rounding > _MOST_ROUNDING_GSD * gsd:
+        raise DataError(
+            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {rounding:.2g} {exporter.unit}, "
+            f"{rounding / gsd:.2g} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
+        )
 
 
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -323,7 +338,9 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(
             f"# {' '.join(exporter.name.split())}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n"
         )
-        np.savetxt(file, mesh.vertices, "v %.9g %.9g %.9g")
+        # To a thousandth of a pixel, also far from the origin, as in a national grid.
+        places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
+        np.savetxt(file, mesh.vertices, " ".join(["v", *[f"%.{places}f"] * 3]))
         np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
         np.savetxt(file, mesh.normals, "vn %.5f %.5f %.5f")
         file.write("usemtl photograph\n")

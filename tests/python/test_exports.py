@@ -8,6 +8,7 @@ import shutil
 import struct
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -274,6 +275,20 @@ def test_stl_has_every_triangle_with_outward_normals(
     np.testing.assert_allclose(mesh.bounds, [points.min((0, 1)), points.max((0, 1))], atol=1e-3)
     assert len(mesh.faces) == len(exports.Exporter(workspace).mesh().triangles)
     assert (mesh.face_normals @ workspace.pose[0][2] < 0).mean() > 0.999
+
+
+def test_meshes_far_from_the_origin_keep_their_form(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In millimeters of a national grid an OBJ had steps of 10 mm, and an STL of 500 mm."""
+    mesh, far = exports.Exporter(workspace).mesh(), np.array([5e8, 5.4e9, 3e5])
+    monkeypatch.setattr(exports.Exporter, "mesh", lambda _: replace(mesh, vertices=mesh.vertices + far))
+    lines = malus.export(workspace.folder, "obj", tmp_path / "a.obj").read_text().splitlines()
+    read = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    np.testing.assert_allclose(read - far, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
+    with pytest.raises(malus.DataError, match="reach [0-9]{10} mm, which STL rounds by"):
+        malus.export(workspace.folder, "stl", tmp_path / "a.stl")
+    assert not (tmp_path / "a.stl").exists()
 
 
 def test_glb_describes_its_object_and_can_have_y_up(workspace: malus.Workspace, tmp_path: Path) -> None:
