@@ -118,3 +118,13 @@ def test_thinning_counts_only_points_that_the_surface_has(
     with pytest.raises(malus.DataError, match="enough"):
         registration.register_reference(finished_grid, scan)
     assert 1000 <= compared[0] < 2000
+
+
+@pytest.mark.parametrize("width", [600, 601, 20])
+def test_points_of_a_grid_are_thinned_evenly(width: int) -> None:
+    """Every n-th point of 24 megapixels, 6000 wide, lay in one of five columns."""
+    rows, columns = np.divmod(np.arange(240_000), width)
+    chosen = registration._some(np.stack([columns, rows, rows], -1).astype(float), 2000)
+    assert len(chosen) == 2000 and len(np.unique(chosen, axis=0)) == 2000
+    counts = np.histogram(chosen[:, 0], bins=20, range=(-0.5, width - 0.5))[0]
+    assert counts.min() > 80 and counts.max() < 120
