@@ -255,6 +255,19 @@ def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
     assert "4 times rougher" in gains_of(figures_of("high", patches=[rougher]), "mm")[0]
 
 
+def test_a_patch_of_a_prior_that_is_an_exact_plane_is_compared_without_a_number() -> None:
+    """A plane as the coarse surface has an RMSE of 0 there: the report ended in a ZeroDivisionError."""
+    for before, after, said in (
+        (0.0, 0.02, "is rougher: 20 µm"),
+        (0.0, 0.0, "is as flat as before: 0 µm"),
+        (0.02, 0.0, "is flatter: 0 µm"),
+    ):
+        patch = {"name": "1", "prior": {"rmse": before}, "fused": {"rmse": after}}
+        (line,) = gains_of(figures_of("high", patches=[patch]), "mm")
+        assert said in line
+        assert ("was gained" in gains_title(figures_of("high", patches=[patch]))) == (before > after)
+
+
 def test_two_finishes_are_described_in_a_sentence() -> None:
     def told(usual: float, other: float, share: float) -> str:
         found = {"roughness": usual, "other_roughness": other, "other_finish_share": share}
