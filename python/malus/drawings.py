@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus._files import replacing, write_text
 from malus.errors import DataError, InputError
+from malus.lengths import round_below
 from malus.surface import Dem
 from malus.units import METERS
 
@@ -37,8 +38,7 @@ class Layer:
 
 def round_interval(span: float) -> float:
     """The spacing of contour lines, 1, 2 or 5 times a power of ten, that gives 10 to 25 lines over `span`."""
-    power = 10.0 ** math.floor(math.log10(span / 10))
-    return next(step * power for step in (5, 2, 1) if step * power <= span / 10)
+    return round_below(span / 10)
 
 
 def contours(dem: Dem, interval: float | None = None) -> list[Layer]:

@@ -335,7 +335,8 @@ def test_lengths_are_rounded_for_reading(length: float, unit: str, said: str) ->
 
 
 @pytest.mark.parametrize(
-    ("extent", "unit", "bar"), [(218, "mm", (50, "50 mm")), (0.9, "m", (0.2, "200 mm")), (12, "mm", (2, "2 mm"))]
+    ("extent", "unit", "bar"),
+    [(218, "mm", (50, "50 mm")), (0.9, "m", (0.2, "200 mm")), (12, "mm", (2, "2 mm")), (400, "um", (100, "100 µm"))],
 )
 def test_scale_bars_are_round_and_about_a_fifth(extent: float, unit: str, bar: tuple[float, str]) -> None:
     length, label = lengths.scale_bar(extent, unit)
