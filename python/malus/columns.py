@@ -28,6 +28,11 @@ def aligned(value: float | None, places: int) -> str:
     return "–" if value is None else printed(f"{value:.{places}f}")
 
 
+def plain(value: float, digits: int = 3) -> str:
+    """A number with so many digits, and without an exponent, however large or small it is."""
+    return aligned(value, decimals([value], digits))
+
+
 def printed(number: str) -> str:
     """A number for print: with the typographic minus sign, and without a minus before zero."""
     if not number.startswith("-"):

@@ -22,7 +22,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, pages, viewer
-from malus.columns import MINUS, aligned, decimals
+from malus.columns import MINUS, aligned, decimals, plain
 from malus.report import _number
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
@@ -117,6 +117,8 @@ def test_no_number_is_written_with_an_exponent() -> None:
     assert [_number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None)] == [
         "150", "100", f"{MINUS}0.067", "12345", "yes", "–",
     ]  # fmt: skip
+    # Square millimeters of a wall's changed part, and cubic ones of a scratch.
+    assert [plain(value) for value in (2.1e6, -1.234e-5, 12.345, 0.0)] == ["2100000", f"{MINUS}0.0000123", "12.3", "0"]
 
 
 def classes_by_row(text: str, heading: str) -> list[list[tuple[str, str]]]:
