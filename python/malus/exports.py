@@ -415,7 +415,12 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
-    x, y, z = (cloud.vertices * METERS[exporter.unit]).T
+    points = cloud.vertices * METERS[exporter.unit]
+    # The library writes floats. Far from the origin, as in a national grid, points are stored about their middle, which the scan's pose
+    # adds to them; near it as they are, for readers that take no pose.
+    largest, pixel = np.abs(points).max(), exporter.workspace.quality["gsd"] * METERS[exporter.unit]
+    middle = points.mean(0) if largest * 2.0**-24 > 1e-3 * pixel else np.zeros(3)
+    x, y, z = (points - middle).T
     red, green, blue = cloud.colors.T
     values = {
         "cartesianX": x,
@@ -434,6 +439,8 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write_scan_raw(
             {key: np.ascontiguousarray(value) for key, value in values.items()},
             name=f"{exporter.name} (confidence {said['confidence']})",
+            rotation=np.array([1.0, 0, 0, 0]),
+            translation=middle,
         )
         for key, words in said.items():
             file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))

@@ -19,7 +19,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exports
+from malus import _core, drawings, exports, scans
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
@@ -266,6 +266,24 @@ def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray
     other = pytest.importorskip("e57").read_points(str(tmp_path / "a.e57"))
     np.testing.assert_allclose(np.asarray(other.points) * 1000, points.reshape(-1, 3), atol=1e-4)
     assert len(other.color) == len(xyz)
+
+
+def test_e57_far_from_the_origin_has_a_pose(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a national grid its points had steps of half a meter."""
+    library = pytest.importorskip("pye57")
+    (mesh, sigma), far = exports.Exporter(workspace).cloud(), np.array([5e8, 5.4e9, 3e5])
+    monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
+    path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
+    file = library.E57(str(path))
+    scan = file.read_scan(0)
+    file.close()
+    xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000 - far
+    np.testing.assert_allclose(xyz, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
+    # As a prior it lies where it was.
+    read, _ = scans.read_scan(path, "mm")
+    np.testing.assert_allclose(read - far, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
 
 
 def test_stl_has_every_triangle_with_outward_normals(
