@@ -22,8 +22,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, pages, viewer
-from malus.columns import MINUS, aligned, decimals, plain
-from malus.report import _number
+from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, pixel_mm, turning_view
@@ -114,8 +113,8 @@ def test_numbers_of_a_column_have_equally_many_decimals() -> None:
 
 
 def test_no_number_is_written_with_an_exponent() -> None:
-    assert [_number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None)] == [
-        "150", "100", f"{MINUS}0.067", "12345", "yes", "–",
+    assert [number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None, 6e-5, 0.0, 1e-17)] == [
+        "150", "100", f"{MINUS}0.067", "12345", "yes", "–", "0.000060", "0", "0",
     ]  # fmt: skip
     # Square millimeters of a wall's changed part, and cubic ones of a scratch.
     assert [plain(value) for value in (2.1e6, -1.234e-5, 12.345, 0.0)] == ["2100000", f"{MINUS}0.0000123", "12.3", "0"]
