@@ -323,11 +323,15 @@ def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, 
     distance = off * normal[:, 2]
     limit = 4.685 * robust_spread(distance) + 1e-12
     weight = np.maximum(0, 1 - (distance / limit) ** 2) ** 2
-    rows = np.column_stack([np.cross(at, normal), normal])
+    # Turns in units of the surface's size: with coordinates of tens of thousands, as in micrometers, shifts would be cut off as not
+    # determined.
+    size = float(np.sqrt((at**2).sum(1).mean())) or 1.0
+    rows = np.column_stack([np.cross(at / size, normal), normal])
     matrix = rows.T @ (weight[:, None] * rows)
     # A little damping: motions that the shape does not determine, such as the turn of a disk, stay zero.
     matrix[np.diag_indices(6)] *= 1 + 1e-6
     motion = np.linalg.lstsq(matrix, rows.T @ (weight * distance), rcond=1e-9)[0]
+    motion[:3] /= size
     angle = float(np.linalg.norm(motion[:3]))
     turn = np.eye(3)
     if angle > 0:
