@@ -183,6 +183,20 @@ def test_limit_without_scatter_includes_the_registration_error(
     assert np.nanmedian(np.abs(found.limit / expected - 1)[inner]) < 0.01
 
 
+def test_features_of_large_views_are_found_in_smaller_pictures(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 100 megapixels SIFT would take 30 GB."""
+    before, after = (Exporter(malus.Workspace(work)) for work in dates)
+    whole = _from_features(before, after)
+    monkeypatch.setattr(malus.change.registration, "_FEATURES_SIDE_PX", 120)
+    found = _from_features(before, after)
+    assert whole is not None and found is not None and found[1] < whole[1] / 2
+    middle = np.nanmean(after.workspace.points(), axis=(0, 1))
+    gsd = before.workspace.quality["gsd"]
+    np.testing.assert_allclose(found[0].apply(middle), whole[0].apply(middle), atol=gsd)
+
+
 def test_every_distance_at_the_rim_of_an_object_has_a_limit(
     dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
