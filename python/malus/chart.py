@@ -193,7 +193,9 @@ def _patches(image: NDArray[np.float32], centers: Floats) -> Floats:
     half = max(1, int(distance / 6))
     colors = np.empty((len(centers), 3))
     for k, (u, v) in enumerate(np.rint(centers).astype(int)):
-        square = image[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].reshape(-1, 3)
+        # A negative end would count from the other border.
+        rows, columns = (slice(max(at - half, 0), max(at + half + 1, 0)) for at in (v, u))
+        square = image[rows, columns].reshape(-1, 3)
         if not len(square) or not np.isfinite(square).all(-1).any():
             raise InputError(
                 f"--corners: patch {k + 1} at {u}, {v} lies beside the image of {image.shape[1]} x {image.shape[0]}"

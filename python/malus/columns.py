@@ -28,8 +28,29 @@ def aligned(value: float | None, places: int) -> str:
     return "–" if value is None else printed(f"{value:.{places}f}")
 
 
-def printed(number: str) -> str:
+def plain(value: float, digits: int = 3) -> str:
+    """A number with so many digits, and without an exponent, however large or small it is."""
+    return aligned(value, decimals([value], digits))
+
+
+def number(value: float | str | None, digits: int = 3) -> str:
+    """A figure as text: a number with at most so many digits, yes or no, the text itself, or a dash for None."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    if abs(value) < 1e-12:  # 0, with an error of rounding
+        return "0"
+    # %g would switch to an exponent for a smaller number, such as a pixel of 60 µm in meters, and for a larger one.
+    if abs(value) < 1e-4:
+        return plain(value, digits)
+    return printed(f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}")
+
+
+def printed(text: str) -> str:
     """A number for print: with the typographic minus sign, and without a minus before zero."""
-    if not number.startswith("-"):
-        return number
-    return MINUS + number[1:] if number.strip("-0.") else number[1:]
+    if not text.startswith("-"):
+        return text
+    return MINUS + text[1:] if text.strip("-0.") else text[1:]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus._files import replacing, write_text
 from malus.errors import DataError, InputError
+from malus.lengths import round_below
 from malus.surface import Dem
 from malus.units import METERS
 
@@ -37,8 +38,7 @@ class Layer:
 
 def round_interval(span: float) -> float:
     """The spacing of contour lines, 1, 2 or 5 times a power of ten, that gives 10 to 25 lines over `span`."""
-    power = 10.0 ** math.floor(math.log10(span / 10))
-    return next(step * power for step in (5, 2, 1) if step * power <= span / 10)
+    return round_below(span / 10)
 
 
 def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
@@ -83,11 +83,11 @@ def section(position: Sequence[float | None], height: Sequence[float | None]) ->
     return [points[piece] for piece in pieces if known[piece[0]] and len(piece) > 1]
 
 
-def set_apart(layers: list[Layer], by: int) -> None:
-    """Move every group of `by` layers below the group before it, so that sections do not lie over each other."""
+def set_apart(groups: Sequence[Sequence[Layer]]) -> None:
+    """Move every group of layers below the group before it, so that sections do not lie over each other."""
     top = 0.0
-    for k in range(0, len(layers), by):
-        group = [line for layer in layers[k : k + by] for line in layer.lines]
+    for layers in groups:
+        group = [line for layer in layers for line in layer.lines]
         if not group:
             continue
         heights = np.concatenate([line[:, 1] for line in group])
@@ -99,6 +99,8 @@ def set_apart(layers: list[Layer], by: int) -> None:
 
 def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, str]) -> None:
     """Write layers as polylines of a DXF drawing (R2010), station unit; `words` become custom properties of the drawing."""
+    if not any(layer.lines for layer in layers):
+        raise DataError(f"{path}: there is nothing to draw")
     ezdxf = extra("ezdxf", "ezdxf", f"{path}: DXF")
     document = ezdxf.new("R2010", setup=False)
     document.header["$INSUNITS"] = _DXF_UNITS[unit]

@@ -22,10 +22,10 @@ from malus._files import replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
-from malus.errors import InputError
+from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
-from malus.raster import sample
+from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
@@ -35,6 +35,9 @@ from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
 from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
+
+#: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
+_MOST_ROUNDING_GSD = 0.1
 
 
 class Exporter:
@@ -167,8 +170,7 @@ class Exporter:
     def cloud(self) -> tuple[Mesh, NDArray[np.float64]]:
         """The surface's vertices (as a mesh) and their standard deviations of depth."""
         mesh = self.mesh()
-        sigma = sample(self.surface.sigma[..., None], self.pixels(mesh.vertices))[:, 0]
-        return mesh, sigma
+        return mesh, sample_known(self.surface.sigma, self.pixels(mesh.vertices))
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,7 @@ def _turn_y_up(path: Path) -> None:
 
 def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
+    _require_few_digits(exporter, mesh, path)
     corners = mesh.vertices[mesh.triangles]
     facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -230,6 +233,17 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(said.encode("ascii", "replace")[:80].ljust(80))
         file.write(np.uint32(len(facets)).tobytes())
         file.write(facets.tobytes())
+
+
+def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
+    """DataError for a mesh so far from the origin that the 24 bits of STL's coordinates would tear it into steps."""
+    farthest, gsd = float(np.abs(mesh.vertices).max()), float(exporter.workspace.quality["gsd"])
+    rounding = farthest * 2.0**-24
+    if rounding > _MOST_ROUNDING_GSD * gsd:
+        raise DataError(
+            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {rounding:.2g} {exporter.unit}, "
+            f"{rounding / gsd:.2g} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
+        )
 
 
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -260,14 +274,16 @@ def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     profiles = exporter.workspace.quality["profiles"]
     if not profiles:
         raise InputError(f"{path}: the station file has no [[profile]], along which to cut")
-    layers = [
-        drawings.Layer(f"{profile['name']} {surface}", drawings.section(profile["position"], profile[surface]))
+    sections = [
+        [
+            drawings.Layer(f"{profile['name']} {surface}", drawings.section(profile["position"], profile[surface]))
+            for surface in ("prior", "fused")
+            if profile[surface]
+        ]
         for profile in profiles
-        for surface in ("prior", "fused")
-        if profile[surface]
     ]
-    drawings.set_apart(layers, by=len(layers) // len(profiles))
-    _write_drawing(path, layers, exporter, "sections")
+    drawings.set_apart(sections)
+    _write_drawing(path, [layer for section in sections for layer in section], exporter, "sections")
 
 
 def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -322,7 +338,9 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(
             f"# {' '.join(exporter.name.split())}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n"
         )
-        np.savetxt(file, mesh.vertices, "v %.9g %.9g %.9g")
+        # To a thousandth of a pixel, also far from the origin, as in a national grid.
+        places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
+        np.savetxt(file, mesh.vertices, " ".join(["v", *[f"%.{places}f"] * 3]))
         np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
         np.savetxt(file, mesh.normals, "vn %.5f %.5f %.5f")
         file.write("usemtl photograph\n")
@@ -397,7 +415,12 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
-    x, y, z = (cloud.vertices * METERS[exporter.unit]).T
+    points = cloud.vertices * METERS[exporter.unit]
+    # The library writes floats. Far from the origin, as in a national grid, points are stored about their middle, which the scan's pose
+    # adds to them; near it as they are, for readers that take no pose.
+    largest, pixel = np.abs(points).max(), exporter.workspace.quality["gsd"] * METERS[exporter.unit]
+    middle = points.mean(0) if largest * 2.0**-24 > 1e-3 * pixel else np.zeros(3)
+    x, y, z = (points - middle).T
     red, green, blue = cloud.colors.T
     values = {
         "cartesianX": x,
@@ -416,6 +439,8 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write_scan_raw(
             {key: np.ascontiguousarray(value) for key, value in values.items()},
             name=f"{exporter.name} (confidence {said['confidence']})",
+            rotation=np.array([1.0, 0, 0, 0]),
+            translation=middle,
         )
         for key, words in said.items():
             file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))
@@ -444,6 +469,8 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "iiif": (_write_iiif, "iiif", ("",)),
     "archive": (_write_archive, "archive.zip", (".zip",)),
 }
+#: Suffixes of further files that a format leaves beside the file it is asked for.
+BESIDE = {"obj": (".png", ".mtl"), "orthophoto": (".pgw",), "rti": (".ptm.txt",)}
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
 #: The formats that show either the photograph's color or the albedo; IIIF shows both.
@@ -526,19 +553,22 @@ def export(
     exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
-        _keep_if_unchanged(path, exporter.workspace)
+        _keep_if_unchanged(path, exporter.workspace, BESIDE.get(format, ()))
         if output is None:
             exported.note(exporter.workspace, path)
     return path
 
 
-def _keep_if_unchanged(path: Path, workspace: Workspace) -> None:
-    """Remove the exported file if a run changed the workspace meanwhile: the file could mix two surfaces."""
+def _keep_if_unchanged(path: Path, workspace: Workspace, beside: tuple[str, ...]) -> None:
+    """Remove the exported file, and those with the suffixes `beside`, if a run changed the workspace meanwhile: they could mix two
+    surfaces.
+    """
     try:
         workspace.require_unchanged()
     except InputError:
         if path.is_dir():
             shutil.rmtree(path)
         else:
-            path.unlink()
+            for file in (path, *map(path.with_suffix, beside)):
+                file.unlink()
         raise

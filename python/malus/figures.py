@@ -625,13 +625,16 @@ class Plates:
 
     @staticmethod
     def tag(axes: Any, at: Any, word: str) -> None:
-        """Write a name above a point, such as a box's upper left corner or a line's start; left of it if there is no space above."""
+        """Write a name above a point, such as a box's upper left corner or a line's start; left of it if there is no space above.
+
+        Text between two $ in a user's name is no formula.
+        """
         bottom, top = axes.get_ylim()
         above = at[1] - top > 0.1 * (bottom - top)
         axes.annotate(
             word, at, xytext=(0, 8) if above else (-8, -5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
             ha="left" if above else "right", va="bottom" if above else "top",
-            bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
+            bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"}, parse_math=False,
         )  # fmt: skip
 
     def profile_lines(self) -> Figure:

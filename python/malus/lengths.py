@@ -29,6 +29,12 @@ def sides(lengths: Sequence[float], unit: str) -> str:
 def scale_bar(extent: float, unit: str) -> tuple[float, str]:
     """Length of a scale bar for a picture that is `extent` wide (1, 2 or 5 times a power of ten, about a fifth of the width), and its label."""
     meters = extent * METERS[unit]
-    power = 10.0 ** math.floor(math.log10(meters / 4))
-    length = next(factor * power for factor in (5, 2, 1) if factor * power <= meters / 4)
+    length = round_below(meters / 4)
     return length / METERS[unit], shown(length / METERS[unit], unit, 4)
+
+
+def round_below(length: float) -> float:
+    """The largest of 1, 2 and 5 times powers of ten that is no longer than a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    # A length of just a power of ten may be less than it by rounding.
+    return next((factor * power for factor in (5, 2) if factor * power <= length), power)

@@ -10,6 +10,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from malus.columns import number
+
 
 def asset(name: str) -> Markup:
     """The text of a file of malus/assets, not escaped."""
@@ -17,7 +19,7 @@ def asset(name: str) -> Markup:
 
 
 def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
-    """A template of malus/templates, with the function `asset`, the filter `base64` (of bytes) and the given filters.
+    """A template of malus/templates, with the function `asset`, the filters `base64` (of bytes) and `number`, and the given ones.
 
     Values are escaped; a value that was not given is an error.
     """
@@ -29,6 +31,7 @@ def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None)
         loader=jinja2.FunctionLoader(lambda name: _text("templates", name)),
     )
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    environment.filters["number"] = number
     environment.filters.update(filters or {})
     environment.globals["asset"] = asset
     return environment.get_template(name)

@@ -20,3 +20,15 @@ def sample(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.floa
     top = (1 - s) * raster[v0, u0] + s * raster[v0, u1]
     bottom = (1 - s) * raster[v1, u0] + s * raster[v1, u1]
     return np.asarray((1 - t) * top + t * bottom, dtype=np.float64)
+
+
+def sample_known(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Like `sample` for a raster (H×W) with missing values (NaN), which are left out; NaN where all neighbors are missing.
+
+    With `sample` they would spread: a value at a pixel's center is 0 times its right neighbor, too, and 0 · NaN is NaN.
+    """
+    known = np.isfinite(raster)
+    values = np.stack([np.where(known, raster, 0), known], -1).astype(np.float64)
+    total, weight = np.moveaxis(sample(values, pixels), -1, 0)
+    # Less is the rounding of a place at the center of a pixel without a value.
+    return np.where(weight > 1e-6, total / np.maximum(weight, 1e-6), np.nan)

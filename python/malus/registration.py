@@ -45,6 +45,9 @@ _LEAST_COVER = 0.5
 #: Approximate number of points of the surface and of the reference that are used.
 _SURFACE_POINTS, _REFERENCE_POINTS = 20_000, 100_000
 
+#: The fraction of which every multiple lies in the largest gap between those before it.
+_GOLDEN = (5**0.5 - 1) / 2
+
 Points = NDArray[np.float64]
 Grid = NDArray[np.float64]
 
@@ -112,10 +115,10 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     rotation, translation = workspace.pose
     points = workspace.points().reshape(-1, 3)
     points = points[np.isfinite(points).all(1)]
-    points = points[:: max(1, len(points) // _SURFACE_POINTS)]
+    points = _some(points, _SURFACE_POINTS)
     towards_camera = -rotation.T @ translation - points.mean(0)
     try:
-        placement = place_reference(points, towards_camera, scan[:: max(1, len(scan) // _REFERENCE_POINTS)])
+        placement = place_reference(points, towards_camera, _some(scan, _REFERENCE_POINTS))
     except DataError as error:
         raise DataError(f"{reference}: {error}; place it by hand and leave --register out") from None
     figures = {
@@ -144,10 +147,21 @@ def _checked(values: ArrayLike, name: str) -> Points:
     return points
 
 
+def _some(points: Points, most: int) -> Points:
+    """About `most` of the points (less than twice as many), one of every run of equally many.
+
+    Its place in the run varies. Points are often in the order of a grid: of a surface 6000 pixels wide, every 1200th point lies in one
+    of five columns.
+    """
+    run = max(1, len(points) // most)
+    start = np.arange(0, len(points) - run + 1, run)
+    return points[start + (run * (np.arange(len(start)) * _GOLDEN % 1)).astype(int)]
+
+
 def _plane_frame(points: Points, towards_camera: Points) -> tuple[Points, Points]:
     """Axes as rows (two in the fitted plane, and its normal on the camera's side), and the mean of the points."""
     middle = points.mean(0)
-    axes = np.linalg.svd((points - middle)[:: max(1, len(points) // 20000)], full_matrices=False)[2]
+    axes = np.linalg.svd(_some(points - middle, _SEARCH_POINTS), full_matrices=False)[2]
     normal = axes[2] * np.sign(axes[2] @ towards_camera or 1.0)
     return np.stack([axes[0], np.cross(normal, axes[0]), normal]), middle
 
@@ -156,7 +170,7 @@ def _directions(scan: Points) -> list[tuple[Points, float]]:
     """Frames (axes as rows, the last one towards the viewer) in which a reference, centered on its mean, is viewed, each with the
     step between its turns in degrees.
     """
-    _, extents, axes = np.linalg.svd(scan[:: max(1, len(scan) // 20000)], full_matrices=False)
+    _, extents, axes = np.linalg.svd(_some(scan, _SEARCH_POINTS), full_matrices=False)
     normals = [axes[2], -axes[2]]
     if extents[2] > _FLAT * extents[0]:
         k = np.arange(_DIRECTIONS) + 0.5
@@ -236,7 +250,7 @@ class _Correlator:
 
 def _search(local: Points, scan: Points, cell: float) -> list[_Candidate]:
     """The best placements among all directions and turns, without duplicates."""
-    scan = scan[:: max(1, len(scan) // _SEARCH_POINTS)]
+    scan = _some(scan, _SEARCH_POINTS)
     grid, origin = _elevations(local, cell)
     diagonal = int(np.ceil(2 * np.linalg.norm(scan, axis=1).max() / cell)) + 2
     if diagonal > 40 * _CELLS:
@@ -274,7 +288,7 @@ def _spacing(scan: Points, candidates: list[_Candidate], cell: float) -> float:
 def _refined(local: Points, scan: Points, start: _Candidate, cell: float) -> _Candidate:
     """The candidate after point-to-plane steps between the surface and the reference's elevations, with its final correlation."""
     rotation, translation = start.rotation, start.translation
-    points = local[:: max(1, len(local) // _SURFACE_POINTS)]
+    points = _some(local, _SURFACE_POINTS)
     correlation = -1.0
     for step in range(_STEPS + 1):
         turned = scan @ rotation.T + translation
@@ -309,11 +323,15 @@ def _step(at: Points, slope: Points, off: NDArray[np.float64]) -> tuple[Points, 
     distance = off * normal[:, 2]
     limit = 4.685 * robust_spread(distance) + 1e-12
     weight = np.maximum(0, 1 - (distance / limit) ** 2) ** 2
-    rows = np.column_stack([np.cross(at, normal), normal])
+    # Turns in units of the surface's size: with coordinates of tens of thousands, as in micrometers, shifts would be cut off as not
+    # determined.
+    size = float(np.sqrt((at**2).sum(1).mean())) or 1.0
+    rows = np.column_stack([np.cross(at / size, normal), normal])
     matrix = rows.T @ (weight[:, None] * rows)
     # A little damping: motions that the shape does not determine, such as the turn of a disk, stay zero.
     matrix[np.diag_indices(6)] *= 1 + 1e-6
     motion = np.linalg.lstsq(matrix, rows.T @ (weight * distance), rcond=1e-9)[0]
+    motion[:3] /= size
     angle = float(np.linalg.norm(motion[:3]))
     turn = np.eye(3)
     if angle > 0:

@@ -15,7 +15,7 @@ from markupsafe import Markup, escape
 
 from malus import _core, viewer
 from malus._files import replacing, resolved, write_bytes, write_text
-from malus.columns import aligned, decimals, printed
+from malus.columns import aligned, decimals, number
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, gray
 from malus.glossary import definitions
@@ -48,17 +48,6 @@ CHECKS = {
 }
 #: Parts of quality.json that only some runs have, with their headings; their tables have a row for each number in `WORDS`.
 _OTHERS = (("photogrammetry", "Photographs"), ("sweep", "Stereo sweep"))
-
-
-def _number(value: Any, digits: int = 3) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, str):
-        return value
-    # For larger numbers %g would switch to an exponent.
-    return printed(f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}")
 
 
 def confidence_lines(level: str, reasons: Sequence[str], assessed: bool) -> list[str]:
@@ -124,11 +113,11 @@ class _Quality:
         number of decimals.
         """
         value = self.at(path)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if among and number:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if among and is_number:
             text = aligned(value, decimals(self._matching(among), digits))
         else:
-            text = _number(value * factor if number and factor != 1 else value, digits)
+            text = number(value * factor if is_number and factor != 1 else value, digits)
         exact = "" if value is None else escape(value)
         return Markup(f'<data value="{exact}" data-path="{escape(path)}">{escape(text)}</data>')
 
@@ -242,7 +231,7 @@ def _write_in(workspace: Workspace) -> Path:
     numbers = _Quality({**quality, "m3c2": m3c2})
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     mesh = viewer.mesh_view(workspace)
-    page = template("report.html.j2", {"number": _number, "aligned": aligned}).render(
+    page = template("report.html.j2", {"aligned": aligned}).render(
         q=numbers.element,
         named=numbers.named,
         term=_term,

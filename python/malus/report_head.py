@@ -100,7 +100,16 @@ def is_worse(patch: Mapping[str, Any]) -> bool:
 
 def is_better(patch: Mapping[str, Any]) -> bool:
     """Whether fusion made a flat patch notably flatter."""
-    return bool(patch["prior"] and patch["fused"]) and patch["prior"]["rmse"] >= _NOTABLE * patch["fused"]["rmse"]
+    return bool(patch["prior"] and patch["fused"]) and patch["prior"]["rmse"] > _NOTABLE * patch["fused"]["rmse"]
+
+
+def _flatter(patch: Mapping[str, Any]) -> str:
+    """How much flatter or rougher fusion made a flat patch, without a number if one of the surfaces is an exact plane."""
+    before, after = patch["prior"]["rmse"], patch["fused"]["rmse"]
+    if not (is_better(patch) or is_worse(patch)):
+        return "as flat as before"
+    word, low, high = ("flatter", after, before) if is_better(patch) else ("rougher", before, after)
+    return f"{high / low:.2g} times {word}" if low > 0 else word
 
 
 def gains_title(quality: Mapping[str, Any]) -> str:
@@ -119,10 +128,8 @@ def gains_of(quality: Mapping[str, Any], unit: str) -> list[str]:
     for patch in quality["patches"]:
         if patch["prior"] and patch["fused"]:
             before, after = patch["prior"]["rmse"], patch["fused"]["rmse"]
-            times = before / max(after, 1e-12)
-            said = f"{times:.2g} times flatter" if is_better(patch) else f"{1 / times:.2g} times rougher" if is_worse(patch) else "as flat as before"  # fmt: skip
             lines.append(
-                f"The flat patch “{patch['name']}” is {said}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
+                f"The flat patch “{patch['name']}” is {_flatter(patch)}: {shown(after, unit)} from a plane (RMSE), with the coarse surface alone {shown(before, unit)}."
             )
     compared = quality["prior_vs_fused"]
     if compared:

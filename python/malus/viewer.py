@@ -119,7 +119,7 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
         "scale": _NORMAL_SCALE,
         # Factor that makes the median of the object mid-gray under the first light.
         "brightness": float(np.clip(_MIDDLE_GRAY / max(float(np.median(linear)), 1e-3), 0.3, 3)),
-        "mean_slope": [float(x) for x in np.median(slopes, axis=0)],
+        "median_slope": [float(x) for x in np.median(slopes, axis=0)],
         "fused": _packed_normals(fused),
         "prior": _packed_normals(prior),
         "color": base64_text(figures.encode(np.dstack([display, mask]), "WEBP", quality=_QUALITY)),

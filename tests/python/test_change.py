@@ -19,7 +19,7 @@ from conftest import DENT, LATER, LUMP, malus_here
 from conftest import malus as run_malus
 from malus.change import Change
 from malus.change.regions import find_regions
-from malus.change.registration import register
+from malus.change.registration import _from_features, register
 from malus.change.run import _warnings
 from malus.change.significance import Distances, measure
 from malus.exports import Exporter
@@ -79,6 +79,21 @@ def test_registration_by_features_recovers_the_frame(dates: tuple[Path, Path], o
     moved = np.array(registration["rotation"]) @ at + registration["translation"]
     np.testing.assert_allclose(moved, [0, 0, middle], atol=gsd)
     assert registration["size_after_over_before"] == pytest.approx(1, abs=2e-3)
+
+
+def test_frames_far_from_the_origin_are_found_by_features(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with coordinates of a national grid: 5000 km from its origin."""
+    before, after = (Exporter(malus.Workspace(work)) for work in dates)
+    near = _from_features(before, after)
+    far = np.array([5e8, 5.4e9, 3e5])
+    points = malus.Workspace.points
+    monkeypatch.setattr(malus.Workspace, "points", lambda *given: points(*given) + far)
+    found = _from_features(before, after)
+    assert near is not None and found is not None
+    assert found[1] > 0.9 * near[1] and found[2] == pytest.approx(near[2], abs=1e-3)
+    np.testing.assert_allclose(found[0].rotation, near[0].rotation, atol=1e-3)
 
 
 def test_files_are_readable_by_other_programs(dates: tuple[Path, Path], outcome: tuple[Path, str]) -> None:
@@ -166,6 +181,41 @@ def test_limit_without_scatter_includes_the_registration_error(
     expected = 1.96 * (np.sqrt(2) * before.surface.sigma + 0.5 * gsd)
     inner = (slice(4, -4), slice(4, -4))
     assert np.nanmedian(np.abs(found.limit / expected - 1)[inner]) < 0.01
+
+
+def test_features_of_large_views_are_found_in_smaller_pictures(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 100 megapixels SIFT would take 30 GB."""
+    before, after = (Exporter(malus.Workspace(work)) for work in dates)
+    whole = _from_features(before, after)
+    monkeypatch.setattr(malus.change.registration, "_FEATURES_SIDE_PX", 120)
+    found = _from_features(before, after)
+    assert whole is not None and found is not None and found[1] < whole[1] / 2
+    middle = np.nanmean(after.workspace.points(), axis=(0, 1))
+    gsd = before.workspace.quality["gsd"]
+    np.testing.assert_allclose(found[0].apply(middle), whole[0].apply(middle), atol=gsd)
+
+
+def test_every_distance_at_the_rim_of_an_object_has_a_limit(
+    dates: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A missing deviation beside the rim made the limit there NaN, and with it the figures of the whole comparison."""
+    raster = malus.Workspace.raster
+
+    def masked(workspace: malus.Workspace, name: str) -> np.ndarray:
+        found = raster(workspace, name).copy()
+        v, u = np.indices(found.shape[:2])
+        if name.startswith("fused/"):
+            found[np.hypot(u - found.shape[1] / 2, v - found.shape[0] / 2) > 50] = np.nan
+        return found
+
+    monkeypatch.setattr(malus.Workspace, "raster", masked)
+    before = Exporter(malus.Workspace(dates[0]))
+    found = measure(before, before, register(before, before, same_frame=True, threads=2), 2)
+    compared = np.isfinite(found.distance)
+    assert compared.sum() > 0.99 * np.isfinite(before.surface.depth).sum()
+    np.testing.assert_array_equal(np.isfinite(found.limit), compared)
 
 
 @pytest.mark.parametrize("option", ["--json", "--quiet"])

@@ -64,8 +64,9 @@ def test_unusable_charts_are_refused(photograph: tuple[Path, np.ndarray], tmp_pa
     path, corners = photograph
     with pytest.raises(malus.DataError, match="the right way up"):
         chart.measure_chart(path, corners=np.roll(corners, 2, axis=0).ravel().tolist())
-    with pytest.raises(malus.InputError, match="lies beside the image"):
-        chart.measure_chart(path, corners=(corners + 400).ravel().tolist())
+    for beside in (400, -400):
+        with pytest.raises(malus.InputError, match="lies beside the image"):
+            chart.measure_chart(path, corners=(corners + beside).ravel().tolist())
     tifffile.imwrite(tmp_path / "plain.tif", np.full((200, 300, 3), 30000, np.uint16))
     told = run_malus("chart", tmp_path / "plain.tif", "-o", tmp_path / "c.json")
     assert told.code == 3 and "no ColorChecker was found" in told.err and not (tmp_path / "c.json").exists()

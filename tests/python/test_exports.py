@@ -8,6 +8,7 @@ import shutil
 import struct
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exports
+from malus import _core, drawings, exports, scans
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
@@ -241,6 +242,19 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_array_equal(records["green"], cloud.green)
 
 
+def test_points_at_the_rim_have_their_own_deviation(workspace: malus.Workspace) -> None:
+    """Each point at the right or lower rim of a masked object had none."""
+    exporter = exports.Exporter(workspace)
+    surface = exporter.surface
+    v, u = np.indices(surface.depth.shape)
+    outside = np.hypot(u - 100, v - 80) > 60
+    depth, sigma = (np.where(outside, np.float32(np.nan), values) for values in (surface.depth, surface.sigma))
+    exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, sigma, surface.camera)
+    cloud, deviations = exporter.cloud()
+    column, row = np.rint(exporter.pixels(cloud.vertices)).astype(int).T
+    np.testing.assert_allclose(deviations, sigma[row, column], rtol=1e-6)
+
+
 def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     library = pytest.importorskip("pye57")
     file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
@@ -254,6 +268,24 @@ def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray
     assert len(other.color) == len(xyz)
 
 
+def test_e57_far_from_the_origin_has_a_pose(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a national grid its points had steps of half a meter."""
+    library = pytest.importorskip("pye57")
+    (mesh, sigma), far = exports.Exporter(workspace).cloud(), np.array([5e8, 5.4e9, 3e5])
+    monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
+    path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
+    file = library.E57(str(path))
+    scan = file.read_scan(0)
+    file.close()
+    xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000 - far
+    np.testing.assert_allclose(xyz, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
+    # As a prior it lies where it was.
+    read, _ = scans.read_scan(path, "mm")
+    np.testing.assert_allclose(read - far, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
+
+
 def test_stl_has_every_triangle_with_outward_normals(
     workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
 ) -> None:
@@ -261,6 +293,20 @@ def test_stl_has_every_triangle_with_outward_normals(
     np.testing.assert_allclose(mesh.bounds, [points.min((0, 1)), points.max((0, 1))], atol=1e-3)
     assert len(mesh.faces) == len(exports.Exporter(workspace).mesh().triangles)
     assert (mesh.face_normals @ workspace.pose[0][2] < 0).mean() > 0.999
+
+
+def test_meshes_far_from_the_origin_keep_their_form(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In millimeters of a national grid an OBJ had steps of 10 mm, and an STL of 500 mm."""
+    mesh, far = exports.Exporter(workspace).mesh(), np.array([5e8, 5.4e9, 3e5])
+    monkeypatch.setattr(exports.Exporter, "mesh", lambda _: replace(mesh, vertices=mesh.vertices + far))
+    lines = malus.export(workspace.folder, "obj", tmp_path / "a.obj").read_text().splitlines()
+    read = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    np.testing.assert_allclose(read - far, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
+    with pytest.raises(malus.DataError, match="reach [0-9]{10} mm, which STL rounds by"):
+        malus.export(workspace.folder, "stl", tmp_path / "a.stl")
+    assert not (tmp_path / "a.stl").exists()
 
 
 def test_glb_describes_its_object_and_can_have_y_up(workspace: malus.Workspace, tmp_path: Path) -> None:
@@ -478,6 +524,28 @@ def test_sections_equal_the_profiles(workspace: malus.Workspace, tmp_path: Path)
         np.testing.assert_allclose(read[:, :2], line, atol=1e-9)
 
 
+@pytest.mark.parametrize("profiles", [("beside", "1", "beside"), ("1", "beside")])
+def test_a_profile_beside_the_surface_has_no_section(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, profiles: tuple[str, ...]
+) -> None:
+    """It ended the export, or moved the prior's line away from the fused one of another profile."""
+    ezdxf = pytest.importorskip("ezdxf")
+    quality = json.loads(json.dumps(workspace.quality))
+    (known,) = quality["profiles"]
+    beside = {**known, "name": "2", "position": [], "prior": [], "fused": []}
+    quality["profiles"] = [known if name == "1" else beside for name in profiles]
+    monkeypatch.setattr(malus.Workspace, "quality", quality)
+    path = malus.export(workspace.folder, "sections", tmp_path / "a.dxf")
+    lines = {line.dxf.layer: np.array(list(line.get_points("xy"))) for line in ezdxf.readfile(path).modelspace()}
+    assert set(lines) == {"1 prior", "1 fused"}
+    apart = lines["1 prior"][:, 1] - lines["1 fused"][:, 1]
+    np.testing.assert_allclose(apart, np.array(known["prior"], float) - np.array(known["fused"], float), atol=1e-6)
+    quality["profiles"] = [beside]
+    with pytest.raises(malus.DataError, match="nothing to draw"):
+        malus.export(workspace.folder, "sections", tmp_path / "b.dxf")
+    assert not (tmp_path / "b.dxf").exists()
+
+
 def test_colmap_can_continue_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     program = shutil.which("colmap")
     if program is None:
@@ -639,3 +707,19 @@ def test_an_export_is_discarded_if_a_run_changes_the_surface_meanwhile(
     with pytest.raises(malus.InputError, match="was changed by another run meanwhile"):
         malus.export(work, "ply", tmp_path / "b.ply")
     assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.parametrize("format", ["obj", "orthophoto", "rti"])
+def test_files_beside_an_export_that_a_run_overtakes_are_not_kept(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    def changed(_: malus.Workspace) -> None:
+        raise malus.InputError("was changed by another run meanwhile")
+
+    path = tmp_path / f"a{exports.FORMATS[format][2][0]}"
+    malus.export(finished_grid, format, path)
+    assert len(list(tmp_path.iterdir())) == 1 + len(exports.BESIDE[format])
+    monkeypatch.setattr(malus.Workspace, "require_unchanged", changed)
+    with pytest.raises(malus.InputError, match="meanwhile"):
+        malus.export(finished_grid, format, path)
+    assert not list(tmp_path.iterdir())

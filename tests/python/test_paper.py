@@ -468,7 +468,7 @@ def test_names_in_pictures_do_not_cover_what_they_name() -> None:
     axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
     places = [(380, 151), (365, 5)]
     for place in places:
-        Plates.tag(axes, place, "field")
+        Plates.tag(axes, place, "field $1_$")  # no formula, which would be a wrong one
     FigureCanvasAgg(drawing).draw()
     for text, place in zip(axes.texts, places, strict=True):
         box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)

@@ -57,6 +57,17 @@ def test_a_reference_that_is_larger_than_the_surface_is_found() -> None:
     assert np.sqrt(((moved @ found.rotation.T + found.translation - scan) ** 2).sum(1).mean()) < 0.4
 
 
+@pytest.mark.parametrize("unit", [1000, 0.001])
+def test_the_place_does_not_depend_on_the_unit(unit: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In micrometers the last steps turned the reference, but did not shift it."""
+    monkeypatch.setattr(registration, "_DIRECTIONS", 4)
+    scan = relief(1, 150)
+    moved = turned(scan, 33, (0, 0, 1)) + np.array([60, -40, 60])
+    found = place_reference(unit * relief(1), CAMERA, unit * moved)
+    back = unit * moved @ found.rotation.T + found.translation
+    assert np.sqrt(((back / unit - scan) ** 2).sum(1).mean()) < 0.1
+
+
 def test_another_object_is_refused() -> None:
     with pytest.raises(malus.DataError, match="no place of the reference stands out"):
         place_reference(relief(1), CAMERA, relief(3, 150))
@@ -118,3 +129,13 @@ def test_thinning_counts_only_points_that_the_surface_has(
     with pytest.raises(malus.DataError, match="enough"):
         registration.register_reference(finished_grid, scan)
     assert 1000 <= compared[0] < 2000
+
+
+@pytest.mark.parametrize("width", [600, 601, 20])
+def test_points_of_a_grid_are_thinned_evenly(width: int) -> None:
+    """Every n-th point of 24 megapixels, 6000 wide, lay in one of five columns."""
+    rows, columns = np.divmod(np.arange(240_000), width)
+    chosen = registration._some(np.stack([columns, rows, rows], -1).astype(float), 2000)
+    assert len(chosen) == 2000 and len(np.unique(chosen, axis=0)) == 2000
+    counts = np.histogram(chosen[:, 0], bins=20, range=(-0.5, width - 0.5))[0]
+    assert counts.min() > 80 and counts.max() < 120

@@ -22,8 +22,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import run_program
 from malus import _core, figures, lengths, pages, viewer
-from malus.columns import MINUS, aligned, decimals
-from malus.report import _number
+from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, pixel_mm, turning_view
@@ -114,9 +113,11 @@ def test_numbers_of_a_column_have_equally_many_decimals() -> None:
 
 
 def test_no_number_is_written_with_an_exponent() -> None:
-    assert [_number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None)] == [
-        "150", "100", f"{MINUS}0.067", "12345", "yes", "–",
+    assert [number(value, 2) for value in (150.4, 99.7, -0.067, 12345, True, None, 6e-5, 0.0, 1e-17)] == [
+        "150", "100", f"{MINUS}0.067", "12345", "yes", "–", "0.000060", "0", "0",
     ]  # fmt: skip
+    # Square millimeters of a wall's changed part, and cubic ones of a scratch.
+    assert [plain(value) for value in (2.1e6, -1.234e-5, 12.345, 0.0)] == ["2100000", f"{MINUS}0.0000123", "12.3", "0"]
 
 
 def classes_by_row(text: str, heading: str) -> list[list[tuple[str, str]]]:
@@ -255,6 +256,19 @@ def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
     assert "4 times rougher" in gains_of(figures_of("high", patches=[rougher]), "mm")[0]
 
 
+def test_a_patch_of_a_prior_that_is_an_exact_plane_is_compared_without_a_number() -> None:
+    """A plane as the coarse surface has an RMSE of 0 there: the report ended in a ZeroDivisionError."""
+    for before, after, said in (
+        (0.0, 0.02, "is rougher: 20 µm"),
+        (0.0, 0.0, "is as flat as before: 0 µm"),
+        (0.02, 0.0, "is flatter: 0 µm"),
+    ):
+        patch = {"name": "1", "prior": {"rmse": before}, "fused": {"rmse": after}}
+        (line,) = gains_of(figures_of("high", patches=[patch]), "mm")
+        assert said in line
+        assert ("was gained" in gains_title(figures_of("high", patches=[patch]))) == (before > after)
+
+
 def test_two_finishes_are_described_in_a_sentence() -> None:
     def told(usual: float, other: float, share: float) -> str:
         found = {"roughness": usual, "other_roughness": other, "other_finish_share": share}
@@ -322,7 +336,8 @@ def test_lengths_are_rounded_for_reading(length: float, unit: str, said: str) ->
 
 
 @pytest.mark.parametrize(
-    ("extent", "unit", "bar"), [(218, "mm", (50, "50 mm")), (0.9, "m", (0.2, "200 mm")), (12, "mm", (2, "2 mm"))]
+    ("extent", "unit", "bar"),
+    [(218, "mm", (50, "50 mm")), (0.9, "m", (0.2, "200 mm")), (12, "mm", (2, "2 mm")), (400, "um", (100, "100 µm"))],
 )
 def test_scale_bars_are_round_and_about_a_fifth(extent: float, unit: str, bar: tuple[float, str]) -> None:
     length, label = lengths.scale_bar(extent, unit)
@@ -367,6 +382,8 @@ def test_relighting_data_are_the_fused_normals(work: Path, page: Page) -> None:
     right, up = unpack(data["fused"]).view(np.int16).reshape(2, 160, 200) / data["scale"]
     np.testing.assert_allclose(right, normals[..., 0], atol=0.6 / data["scale"])
     np.testing.assert_allclose(up, -normals[..., 1], atol=0.6 / data["scale"])
+    slope = normals[..., :2] * (1, -1) / -normals[..., 2:]
+    np.testing.assert_allclose(data["median_slope"], np.median(slope.reshape(-1, 2), axis=0), atol=1e-5)
 
 
 def test_mesh_data_are_the_depth_map(work: Path, page: Page) -> None:

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -14,12 +15,13 @@
 
 namespace malus {
 
-/// Difference of two surfaces along a profile, in GSD.
+/// Difference of two surfaces along a profile, in GSD; NaN = there is no sample where both exist.
 struct ProfileDifference {
   std::size_t count = 0;  ///< samples where both surfaces exist
-  double mean_gsd = 0;
-  double rms_gsd = 0;           ///< about zero
-  double rms_centered_gsd = 0;  ///< about the mean, so that the free constant of a polarization height has no effect
+  double mean_gsd = std::numeric_limits<double>::quiet_NaN();
+  double rms_gsd = mean_gsd;  ///< about zero
+  /// About the mean, so that the free constant of a polarization height has no effect.
+  double rms_centered_gsd = mean_gsd;
 
   MALUS_FIELDS(count, mean_gsd, rms_gsd, rms_centered_gsd)
 };
@@ -45,7 +47,8 @@ struct ProfileFigures {
   std::vector<double> prior, polarization, fused;  ///< heights, station unit, NaN = none; empty = no such surface
   ProfileDifference fused_minus_prior, polarization_minus_prior, fused_minus_polarization;
   /// RMS of the heights' high-pass (detail_sigma_px) along the line, GSD; NaN = no such surface.
-  double roughness_prior_gsd = 0, roughness_polarization_gsd = 0, roughness_fused_gsd = 0;
+  double roughness_prior_gsd = std::numeric_limits<double>::quiet_NaN();
+  double roughness_polarization_gsd = roughness_prior_gsd, roughness_fused_gsd = roughness_prior_gsd;
 
   MALUS_FIELDS(name, from_px, to_px, status, position_px, position, prior, polarization, fused, fused_minus_prior,
                polarization_minus_prior, fused_minus_polarization, roughness_prior_gsd, roughness_polarization_gsd,

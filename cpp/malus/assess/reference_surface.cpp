@@ -85,6 +85,9 @@ ReferenceSurface::ReferenceSurface(const TriangleMesh& geometry, const Eigen::Ve
   };
   const std::size_t count = is_mesh ? geometry.triangles.size() : geometry.vertices.points.size();
   index_ = std::make_unique<const Index>(Index{BoxTree(count, box_of, context)});
+  Eigen::AlignedBox3d all;
+  for (const Eigen::Vector3d& point : geometry.vertices.points) all.extend(point);
+  extent_ = all.diagonal().norm();
 }
 
 ReferenceSurface::~ReferenceSurface() = default;
@@ -106,8 +109,9 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
         }
       });
   if (!nearest) return std::nullopt;
-  // The pseudonormal is the sum over the triangles that share the nearest point.
-  const double tolerance = 1e-9 * (nearest->cwiseAbs().maxCoeff() + std::sqrt(limit));
+  // The pseudonormal is the sum over the triangles that share the nearest point. Far from the origin, as in a national
+  // grid, coordinates are rounded more than that, but a fixed share of them would be many triangles.
+  const double tolerance = 1e-9 * (extent_ + std::sqrt(limit)) + 1e-14 * nearest->cwiseAbs().maxCoeff();
   const double reach = std::pow(std::sqrt(limit) + tolerance, 2);
   Eigen::Vector3d normal = Eigen::Vector3d::Zero();
   index_->tree.visit_near(

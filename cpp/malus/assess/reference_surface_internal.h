@@ -41,6 +41,7 @@ class ReferenceSurface {
   const TriangleMesh& geometry_;
   Eigen::Vector3d viewpoint_;
   std::size_t neighbors_;
+  double extent_ = 0;  ///< diagonal of the box about all points
   std::unique_ptr<const Index> index_;
 };
 

@@ -26,7 +26,7 @@
     precision highp float;
     uniform sampler2D normals, color;
     uniform vec3 light;
-    uniform vec2 meanSlope;
+    uniform vec2 medianSlope;
     uniform float exaggeration, specular, gloss, brightness, normalScale;
     uniform int surface;
     in vec2 at;
@@ -37,8 +37,8 @@
       if (texel.a < 0.5) discard;
       vec2 xy = texture(normals, at).xy / normalScale;
       float z = sqrt(max(1.0 - dot(xy, xy), 0.0025));
-      // Slopes minus the mean slope, so that exaggeration deepens the relief without tilting the object.
-      vec2 slope = meanSlope + exaggeration * (xy / z - meanSlope);
+      // Slopes minus the median slope, so that exaggeration deepens the relief without tilting the object.
+      vec2 slope = medianSlope + exaggeration * (xy / z - medianSlope);
       vec3 n = normalize(vec3(slope, 1.0));
       if (surface == 2) { result = vec4(n * 0.5 + 0.5, 1); return; }
       vec3 albedo = surface == 1 ? vec3(0.55) : pow(texel.rgb, vec3(2.2));
@@ -93,7 +93,7 @@
   gl.uniform1i(uniform('normals'), 0);
   gl.uniform1i(uniform('color'), 1);
   gl.uniform1f(uniform('normalScale'), data.scale);
-  gl.uniform2f(uniform('meanSlope'), ...data.mean_slope);
+  gl.uniform2f(uniform('medianSlope'), ...data.median_slope);
 
   // Light: direction in the image, length = sine of the angle from the view direction.
   const start = {light: [-0.6, 0.55], zoom: 1, pan: [0, 0]};

@@ -8,6 +8,7 @@ from typing import Any
 from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
+from malus.columns import plain
 from malus.exports import Exporter
 from malus.figures import Figure, Plates, encode, flattened, gray, hillshade
 from malus.lengths import scale_bar, shown
@@ -70,7 +71,9 @@ def write_page(
     shades = [hillshade(flattened(plates.small(d)), pixel) for d in (before.surface.depth, distances.depth_after)]
     height, width = shades[0][box].shape[:2]
     length, bar_label = scale_bar(width * pixel, before.unit)
-    page = template("change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits)}).render(
+    page = template(
+        "change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain}
+    ).render(
         figures=figures,
         dates=[_date(figures[which]) for which in ("before", "after")],
         aspect=width / height,

@@ -19,7 +19,7 @@ from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError
 from malus.exports import Exporter
-from malus.figures import flattened, hillshade
+from malus.figures import flattened, hillshade, reduced, step_for
 from malus.options import Options
 from malus.raster import sample
 
@@ -32,6 +32,9 @@ _APART = 3.0
 _LEAST_MATCHES = 12
 _AGREEMENT_PX = 4.0
 _RATIO = 0.8
+#: Longest side of the pictures in which features are found: memory grows with the pixels, time with the square of the features. The
+#: place that they give is rough anyway.
+_FEATURES_SIDE_PX = 3000
 #: Share of the later surface that must lie near the earlier one.
 _LEAST_COMPARED = 0.1
 
@@ -137,13 +140,18 @@ def _stable(distance: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float, fl
     return pixels, spread, middle
 
 
-def _pictures(exporter: Exporter) -> list[NDArray[np.uint8]]:
-    """The object's picture in gray, and relief shadings from two light directions."""
+def _step_of(exporter: Exporter) -> int:
+    """Side of the blocks of pixels over which a view is averaged to find features."""
+    return step_for(exporter.surface.depth.shape, _FEATURES_SIDE_PX)
+
+
+def _pictures(exporter: Exporter, step: int) -> list[NDArray[np.uint8]]:
+    """The object's picture in gray, and relief shadings from two light directions, averaged over step × step pixels."""
     gsd = float(exporter.workspace.quality["gsd"])
-    relief = flattened(exporter.surface.depth)
-    shades = [hillshade(relief, gsd, azimuth) for azimuth in (315, 45)]
+    relief = flattened(reduced(exporter.surface.depth, step))
+    shades = [hillshade(relief, gsd * step, azimuth) for azimuth in (315, 45)]
     return [
-        exporter.picture().mean(-1).astype(np.uint8),
+        reduced(exporter.picture().mean(-1, dtype=np.float32), step).astype(np.uint8),
         *(np.rint(255 * np.nan_to_num(shade)).astype(np.uint8) for shade in shades),
     ]
 
@@ -151,9 +159,13 @@ def _pictures(exporter: Exporter) -> list[NDArray[np.uint8]]:
 def _matched(before: Exporter, after: Exporter, cv2: Any) -> tuple[Floats, Floats]:
     """Pixels (N×2 each) that look alike in both views."""
     sift, matcher = cv2.SIFT_create(), cv2.BFMatcher(cv2.NORM_L2)
-    known = [np.where(np.isfinite(e.surface.depth), 255, 0).astype(np.uint8) for e in (before, after)]
+    steps = [_step_of(exporter) for exporter in (before, after)]
+    known = [
+        np.where(np.isfinite(reduced(exporter.surface.depth, step)), 255, 0).astype(np.uint8)
+        for exporter, step in zip((before, after), steps, strict=True)
+    ]
     here, there = [np.empty((0, 2))], [np.empty((0, 2))]
-    for one, other in zip(_pictures(before), _pictures(after), strict=True):
+    for one, other in zip(_pictures(before, steps[0]), _pictures(after, steps[1]), strict=True):
         points, described = sift.detectAndCompute(one, known[0])
         others, described_too = sift.detectAndCompute(other, known[1])
         if described is None or described_too is None or min(len(points), len(others)) < 2:
@@ -162,7 +174,9 @@ def _matched(before: Exporter, after: Exporter, cv2: Any) -> tuple[Floats, Float
         good = [first for first, second in pairs if first.distance < _RATIO * second.distance]
         here.append(np.array([points[match.queryIdx].pt for match in good]).reshape(-1, 2))
         there.append(np.array([others[match.trainIdx].pt for match in good]).reshape(-1, 2))
-    return np.concatenate(here), np.concatenate(there)
+    # From pixels of the pictures to those of the views.
+    first, second = ((np.concatenate(at) + 0.5) * step - 0.5 for at, step in zip((here, there), steps, strict=True))
+    return first, second
 
 
 def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, float] | None:
@@ -174,17 +188,19 @@ def _from_features(before: Exporter, after: Exporter) -> tuple[Motion, int, floa
     points, points_after, there = points[usable], points_after[usable], there[usable]
     if len(points) < _LEAST_MATCHES:
         return None
+    # About their middle, because SQPNP squares coordinates: in a national frame (meters from the equator) nothing would be left.
+    middle = points.mean(0)
     camera = after.workspace.camera
     lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     cv2.setRNGSeed(1)
     found, _, _, inliers = cv2.solvePnPRansac(
-        points, there, lens, None, iterationsCount=5000, reprojectionError=_AGREEMENT_PX, confidence=0.9999,
+        points - middle, there, lens, None, iterationsCount=5000, reprojectionError=_AGREEMENT_PX * _step_of(after), confidence=0.9999,
         flags=cv2.SOLVEPNP_SQPNP,
     )  # fmt: skip
     if not found or inliers is None or len(inliers) < _LEAST_MATCHES:
         return None
     chosen = inliers.ravel()
     source, target = points_after[chosen], points[chosen]
-    fitted, size = cv2.estimateAffine3D(source, target, force_rotation=True)
+    fitted, size = cv2.estimateAffine3D(source - source.mean(0), target - target.mean(0), force_rotation=True)
     rotation = np.asarray(fitted[:, :3], dtype=np.float64)
     return Motion(rotation, target.mean(0) - rotation @ source.mean(0)), len(chosen), 1 / float(size)

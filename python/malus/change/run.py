@@ -20,6 +20,7 @@ from malus.change.page import write_page
 from malus.change.regions import Region, find_regions, pixel_areas
 from malus.change.registration import Registration, register
 from malus.change.significance import Distances, measure
+from malus.columns import plain
 from malus.errors import InputError
 from malus.exports import Exporter
 from malus.lengths import shown
@@ -223,7 +224,7 @@ def change_summary(figures: dict[str, Any]) -> list[str]:
         lines.append(
             f"  {region['number']}: {'added' if region['mean_um'] > 0 else 'lost'} "
             f"{shown(abs(region['mean_um']), 'um')} on average, {shown(abs(region['extreme_um']), 'um')} at most, on "
-            f"{region['area_mm2']:.3g} mm², {abs(region['volume_mm3']):.3g} mm³"
+            f"{plain(region['area_mm2'])} mm², {plain(abs(region['volume_mm3']))} mm³"
         )
     if count > 5:
         lines.append(f"  and {count - 5} more, regions.csv")

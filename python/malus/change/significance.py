@@ -13,7 +13,7 @@ from malus.errors import DataError
 from malus.exports import Exporter
 from malus.figures import reduced
 from malus.prior import project_mesh
-from malus.raster import sample
+from malus.raster import sample_known
 
 Floats = NDArray[np.float32]
 #: Standard deviations that a change must exceed (95 %).
@@ -70,8 +70,15 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
         raise DataError(f"{after.workspace.folder}: no part of its surface lies near that of {before.workspace.folder}")
     stated = _CONFIDENCE * _stated_sigma(before, after, registration, grid[::step, ::step][core])
     # A cylinder with too few points has no scatter and no M3C2 limit: add the registration error to the stated one instead.
-    told = np.where(np.isfinite(detectable), np.maximum(detectable, stated), stated + _CONFIDENCE * registration.error)
+    # Just beyond the later surface's rim no deviation is stated: there M3C2's limit is the only one.
+    told = np.where(np.isfinite(detectable), np.fmax(detectable, stated), stated + _CONFIDENCE * registration.error)
+    # Without a limit nothing could be said of a distance.
+    distance = np.where(np.isfinite(told), distance, np.nan)
     limit = np.where(np.isfinite(distance), told, np.nan)
+    if not np.isfinite(distance).any():
+        raise DataError(
+            f"{after.workspace.folder}: nothing says how unsure its surface or that of {before.workspace.folder} is"
+        )
     maps = []
     for values in (distance, limit):
         small = np.full(core.shape, np.nan)
@@ -124,7 +131,7 @@ def _stated_sigma(
 ) -> NDArray[np.float64]:
     """One standard deviation of the difference of both surfaces at points of the earlier frame (N×3), from the stated standard deviations."""
     pairs = ((before, before.pixels(points)), (after, _later_pixels(after, registration, points)))
-    variances = [sample(exporter.surface.sigma[..., None].astype(float), at)[:, 0] ** 2 for exporter, at in pairs]
+    variances = [sample_known(exporter.surface.sigma, at) ** 2 for exporter, at in pairs]
     return np.asarray(np.sqrt(sum(variances)))
 
 

@@ -56,6 +56,21 @@ TEST(Reference, DistanceAndSignToACubeAreExactAtFacesEdgesAndCorners) {
   EXPECT_TRUE(reference.foot({3, 0, 0}, 2.6));
 }
 
+TEST(Reference, SignsFarFromTheOriginAreThoseNearIt) {
+  const Eigen::Vector3d far(5e8, 5.4e9, 3e5);  // millimeters in a national grid
+  TriangleMesh mesh = cube();
+  for (Eigen::Vector3d& point : mesh.vertices.points) point += far;
+  const ReferenceSurface reference(mesh, {}, 12, {});
+  std::mt19937_64 random(9);
+  std::uniform_real_distribution<double> uniform(-1.2, 1.2);
+  for (int i = 0; i < 2000; ++i) {
+    const Eigen::Vector3d x(uniform(random), uniform(random), uniform(random));
+    const auto foot = reference.foot(x + far, 10);
+    ASSERT_TRUE(foot);
+    ASSERT_NEAR(foot->signed_distance, cube_distance(x), 1e-5) << x.transpose();
+  }
+}
+
 TEST(Reference, TreeSearchAgreesWithExhaustiveSearch) {
   const TriangleMesh mesh = mesh_of(wavy(0, 40, 30));
   const ReferenceSurface reference(mesh, some_pose().centre(), 12, {});

@@ -67,7 +67,10 @@ TEST(Profiles, HolesStayHoles) {
   EXPECT_NEAR(p.position[10], 0, 1e-9) << "positions start at the first point on the surface";
   EXPECT_EQ(p.fused_minus_prior.count, 121u - 11);
   fused.fill(none);
-  EXPECT_EQ(across({}, {}, fused).status, ProfileStatus::too_few_samples);
+  const ProfileFigures beside = across({}, {}, fused);
+  EXPECT_EQ(beside.status, ProfileStatus::too_few_samples);
+  EXPECT_TRUE(std::isnan(beside.fused_minus_prior.rms_gsd)) << "0 would say that the surfaces agree";
+  EXPECT_TRUE(std::isnan(beside.roughness_fused_gsd));
 }
 
 TEST(Profiles, BilinearSampleIsExactForABilinearImageAndStopsAtNaN) {
