@@ -115,7 +115,9 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
     }
     const Vector7 step = solve_observable(normal_matrix, right_side, unknowns);
     icp.reference_from_surface = compose(small_motion(step, centre, extent), icp.reference_from_surface);
-    icp.converged = step.norm() < 1e-8;
+    // Far from the origin coordinates are rounded by more than a hundred-millionth of a small object's size.
+    const double rounding = 4 * std::numeric_limits<double>::epsilon() * centre.cwiseAbs().maxCoeff() / extent;
+    icp.converged = step.norm() < std::max(1e-8, rounding);
     context.progress("assess", 0, "aligning with the reference, step " + std::to_string(icp.iterations));
   }
   return icp;

@@ -107,7 +107,11 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
       });
   if (!nearest) return std::nullopt;
   // The pseudonormal is the sum over the triangles that share the nearest point.
-  const double tolerance = 1e-9 * (nearest->cwiseAbs().maxCoeff() + std::sqrt(limit));
+  // Far from the origin (UTM) a billionth of the coordinates would be millimeters, with hundreds of triangles in reach:
+  // it is a billionth of the mesh's size, and what coordinates so large are rounded by.
+  constexpr double rounding = 1e-14;
+  const double tolerance =
+      1e-9 * (index_->tree.box().diagonal().maxCoeff() + std::sqrt(limit)) + rounding * nearest->cwiseAbs().maxCoeff();
   const double reach = std::pow(std::sqrt(limit) + tolerance, 2);
   Eigen::Vector3d normal = Eigen::Vector3d::Zero();
   index_->tree.visit_near(

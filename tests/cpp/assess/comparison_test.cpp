@@ -131,6 +131,24 @@ TEST(Comparison, PointsOfAnySurfaceAreAlignedAsPixelsAre) {
   EXPECT_FALSE(align_with_reference(std::span(moved).first(5), reference, gsd, options, {}).converged);
 }
 
+TEST(Comparison, AlignsFarFromTheOriginAsNearIt) {
+  // In meters and UTM: a billionth of the coordinates is 5 mm, which is 53 GSD.
+  constexpr double meters_per_unit = 2e-4;
+  const Eigen::Vector3d utm(450e3, 5.3e6, 120), shift(5e-5, -4e-5, 6e-5);
+  TriangleMesh reference = mesh_of(wavy(0));
+  std::vector<Eigen::Vector3d> moved;
+  for (std::size_t i = 0; i < reference.vertices.points.size(); ++i) {
+    Eigen::Vector3d& x = reference.vertices.points[i];
+    x = utm + meters_per_unit * x;
+    if (i % 97 == 0) moved.push_back(x + shift);
+  }
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  const PointAlignment found = align_with_reference(moved, reference, meters_per_unit * gsd, options, {});
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT((found.reference_from_surface.apply(moved[99]) - moved[99] + shift).norm(), 1e-6);
+}
+
 TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   const FusedSurface half = wavy(0, 80, 120);
   FusedSurface reference_view = half;
