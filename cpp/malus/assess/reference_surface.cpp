@@ -149,8 +149,10 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   for (const auto& [distance, i] : nearest) scatter += (points[i] - centre) * (points[i] - centre).transpose();
   Eigen::Vector3d normal = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvectors().col(0);
   const std::vector<Eigen::Vector3f>& normals = geometry_.vertices.normals;
-  const Eigen::Vector3d outward =
-      normals.empty() ? Eigen::Vector3d(viewpoint_ - centre) : normals[nearest.front().second].cast<double>();
+  Eigen::Vector3d outward = viewpoint_ - centre;
+  // A point without a normal in a cloud that has them has the normal 0.
+  if (!normals.empty() && normals[nearest.front().second].squaredNorm() > 0)
+    outward = normals[nearest.front().second].cast<double>();
   if (normal.dot(outward) < 0) normal = -normal;
   const double distance = normal.dot(point - centre);
   return Foot{point - distance * normal, normal, distance};

@@ -97,6 +97,17 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   }
 }
 
+TEST(Comparison, PointsWithoutNormalsFaceTheCamera) {
+  const FusedSurface surface = wavy(1);
+  TriangleMesh reference = mesh_of(wavy(0));
+  reference.triangles.clear();
+  for (std::size_t i = 0; i < reference.vertices.normals.size(); ++i) {
+    if (i % 160 < 80) reference.vertices.normals[i].setZero();
+  }
+  const ReferenceComparison result = compare_with_reference(surface, reference, gsd, {}, {});
+  EXPECT_GT(result.distance_gsd.p05, 1) << "the surface is in front of the reference";
+}
+
 TEST(Comparison, PointsAllAroundACloudAreOutsideOnEverySide) {
   PointCloud ball;
   std::vector<Eigen::Vector3d> outside, directions;
