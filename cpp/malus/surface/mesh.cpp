@@ -380,4 +380,13 @@ int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& option
   return static_cast<int>(std::clamp(factor * options.subsample, 1.0 * options.subsample, 1.0 * largest));
 }
 
+int subsample_for_glb(const FusedSurface& surface, std::size_t triangles, const SurfaceOptions& options,
+                      const Context& context) {
+  SurfaceOptions coarse = options;
+  coarse.subsample = subsample_for(triangles, options.glb_triangles, options);
+  while (coarse.subsample > options.subsample && StripMaker(surface, {}, coarse, context).triangles() == 0)
+    coarse.subsample = std::max(options.subsample, coarse.subsample / 2);
+  return coarse.subsample;
+}
+
 }  // namespace malus
