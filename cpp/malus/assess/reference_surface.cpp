@@ -123,8 +123,12 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
         normal += candidate.angle * (x[1] - x[0]).cross(x[2] - x[0]).normalized();
       });
   normal.normalize();
-  const double distance = std::sqrt(limit);
-  return Foot{*nearest, normal, normal.dot(point - *nearest) < 0 ? -distance : distance};
+  const double distance = std::sqrt(limit), along = normal.dot(point - *nearest);
+  // On faces the offset has the normal's direction, at the corners of a cube up to 55° to it; beyond a border it has
+  // any.
+  constexpr double least_cosine = 0.5;
+  const bool is_beside = distance > tolerance && normal.squaredNorm() > 0 && std::abs(along) < least_cosine * distance;
+  return Foot{*nearest, normal, along < 0 ? -distance : distance, is_beside};
 }
 
 std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const {
@@ -155,7 +159,11 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
     outward = normals[nearest.front().second].cast<double>();
   if (normal.dot(outward) < 0) normal = -normal;
   const double distance = normal.dot(point - centre);
-  return Foot{point - distance * normal, normal, distance};
+  const Eigen::Vector3d foot = point - distance * normal;
+  double farthest = 0;  // along the plane
+  for (const auto& [squared, i] : nearest)
+    farthest = std::max(farthest, (points[i] - centre - normal.dot(points[i] - centre) * normal).norm());
+  return Foot{foot, normal, distance, (foot - centre).norm() > farthest};
 }
 
 }  // namespace malus

@@ -183,6 +183,21 @@ TEST(Comparison, FarPixelsAreLeftOutAndNamed) {
   EXPECT_NE(said.find("--register"), std::string::npos) << said;
 }
 
+TEST(Comparison, PixelsBesideAReferenceOfAPartAreNotCompared) {
+  // Up to 50 GSD beyond its border, the distance to the nearest place of the reference is one along the surface.
+  FusedSurface part = wavy(0);
+  for (int v = 0; v < 120; ++v) {
+    for (int u = 80; u < 160; ++u) part.depth(u, v) = none;
+  }
+  TriangleMesh reference = mesh_of(part);
+  for (const bool is_mesh : {true, false}) {
+    if (!is_mesh) reference.triangles.clear();
+    const ReferenceComparison result = compare_with_reference(wavy(0.5 * gsd), reference, gsd, {}, {});
+    EXPECT_NEAR(result.compared_fraction, 0.5, 0.03) << is_mesh;
+    EXPECT_NEAR(result.distance_gsd.rmse, 0.45, 0.1) << is_mesh;
+  }
+}
+
 TEST(Comparison, AReferenceBesideTheSurfaceIsSaid) {
   const TriangleMesh reference = mesh_of(wavy(0));
   std::string said;
