@@ -63,12 +63,13 @@ void bind_assess(py::module_& module) {
              });
   module.def("distances_from_reference",
              [](const Array<double>& points, const Array<double>& normals, const Array<double>& vertices,
-                const std::optional<Array<std::uint32_t>>& triangles, double gsd, const Options& options, int threads) {
+                const std::optional<Array<std::uint32_t>>& triangles, double gsd, const Options& options, int threads,
+                bool with_beside) {
                const PointCloud surface = to_cloud(points), directions = to_cloud(normals);
                const TriangleMesh reference = reference_of(vertices, triangles);
                const std::vector<float> distances = computed(threads, [&](const Context& context) {
                  return distances_from_reference(surface.points, directions.points, reference, gsd, options.assess,
-                                                 context);
+                                                 context, with_beside);
                });
                return py::array_t<float>(static_cast<py::ssize_t>(distances.size()), distances.data());
              });

@@ -456,6 +456,7 @@ def distances_from_reference(
     gsd: float,
     options: str,
     threads: int,
+    with_beside: bool,
 ) -> NDArray[np.float32]: ...
 def fit_patch(
     depth: _Float32, camera: Camera, x0: int, y0: int, x1: int, y1: int, gsd: float

@@ -86,8 +86,10 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
   while (!icp.converged && icp.iterations < 60) {
     ++icp.iterations;
     parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t i = begin; i < end; ++i)
+      for (std::size_t i = begin; i < end; ++i) {
         feet[i] = reference.foot(icp.reference_from_surface.apply(points[i]), max_distance);
+        if (feet[i] && feet[i]->is_beside) feet[i].reset();
+      }
     });
     std::vector<double> distances;
     Eigen::AlignedBox3d box;
@@ -151,7 +153,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
       if (!std::isfinite(surface.depth(u, v))) continue;
       const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
       const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
-      if (const auto foot = target.foot(x, max_distance))
+      if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
         result.distance(u, v) = static_cast<float>(foot->signed_distance);
     }
   });
@@ -183,7 +185,8 @@ PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, con
 
 std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
                                             std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
-                                            double gsd, const AssessOptions& options, const Context& context) {
+                                            double gsd, const AssessOptions& options, const Context& context,
+                                            bool with_beside) {
   validate_fields(options, "assess");
   const ReferenceSurface target(reference, Eigen::Vector3d::Zero(), options.reference_neighbors, context);
   const double max_distance = options.max_distance_gsd * gsd;
@@ -191,7 +194,7 @@ std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> poi
   parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto foot = target.foot(points[i], max_distance);
-      if (!foot) continue;
+      if (!foot || (foot->is_beside && !with_beside)) continue;
       // One viewpoint does not determine the outer side of a cloud.
       const bool turned = reference.triangles.empty() && foot->normal.dot(normals[i]) < 0;
       distances[i] = static_cast<float>(turned ? -foot->signed_distance : foot->signed_distance);

@@ -50,7 +50,8 @@ struct ReferenceComparison {
   Alignment alignment = Alignment::none;  ///< as requested in the options
   int alignment_iterations = 0;
   SimilarityTransform reference_from_surface;
-  double compared_fraction = 0;  ///< share of the pixels with a depth that are within max_distance_gsd of the reference
+  /// Share of the pixels with a depth that are within max_distance_gsd of the reference, and not beside it.
+  double compared_fraction = 0;
   Summary distance_gsd;
   Histogram histogram_gsd;
   Image<float> distance;  ///< station view and unit, NaN = not compared; a map, not a field
@@ -63,7 +64,8 @@ struct ReferenceComparison {
 /// if it has no triangles (see ReferenceSurface). With an alignment, point-to-plane ICP (Chen and Medioni 1992; Tukey
 /// weights, up to 20 000 evenly spread pixels, at most 60 steps) moves the surface first; motions that the shapes leave
 /// undetermined, such as sliding along a plane, are not made. Without an alignment nothing is moved, and only a
-/// similarity changes the scale. Throws a data error for a reference that cannot be used.
+/// similarity changes the scale. Pixels beside the reference, beyond its border, have no distance. Throws a data error
+/// for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
 
@@ -74,10 +76,12 @@ PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, con
                                     const AssessOptions& options, const Context& context);
 
 /// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
-/// options.max_distance_gsd · gsd. The outside of a reference cloud is the side that `normals` (one per point) point
-/// to, so that the surface may be closed. Nothing is moved. Throws a data error for a reference that cannot be used.
+/// options.max_distance_gsd · gsd, and beside the reference unless `with_beside`. The outside of a reference cloud is
+/// the side that `normals` (one per point) point to, so that the surface may be closed. Nothing is moved. Throws a data
+/// error for a reference that cannot be used.
 std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
                                             std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
-                                            double gsd, const AssessOptions& options, const Context& context);
+                                            double gsd, const AssessOptions& options, const Context& context,
+                                            bool with_beside = false);
 
 }  // namespace malus

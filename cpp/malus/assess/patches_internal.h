@@ -21,7 +21,7 @@ struct PatchFit {
   double rmse_gsd = 0;    ///< the same / GSD: the last row of Table 2
   double mad_gsd = 0;     ///< 1.4826 × median |distance|
   double max_abs_gsd = 0;
-  double roughness_gsd = 0;  ///< RMS of the depth's high-pass on the patch (edges of the patch included), along the ray
+  double roughness_gsd = 0;  ///< RMS of the distances' high-pass on the patch (edges of the patch included)
   Histogram histogram_gsd;   ///< of the distances (Fig. 15)
 
   MALUS_FIELDS(count, rmse, rmse_gsd, mad_gsd, max_abs_gsd, roughness_gsd, histogram_gsd)

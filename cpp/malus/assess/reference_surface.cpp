@@ -123,8 +123,12 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
         normal += candidate.angle * (x[1] - x[0]).cross(x[2] - x[0]).normalized();
       });
   normal.normalize();
-  const double distance = std::sqrt(limit);
-  return Foot{*nearest, normal, normal.dot(point - *nearest) < 0 ? -distance : distance};
+  const double distance = std::sqrt(limit), along = normal.dot(point - *nearest);
+  // On faces the offset has the normal's direction, at the corners of a cube up to 55° to it; beyond a border it has
+  // any.
+  constexpr double least_cosine = 0.5;
+  const bool is_beside = distance > tolerance && normal.squaredNorm() > 0 && std::abs(along) < least_cosine * distance;
+  return Foot{*nearest, normal, along < 0 ? -distance : distance, is_beside};
 }
 
 std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const {
@@ -149,11 +153,17 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   for (const auto& [distance, i] : nearest) scatter += (points[i] - centre) * (points[i] - centre).transpose();
   Eigen::Vector3d normal = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvectors().col(0);
   const std::vector<Eigen::Vector3f>& normals = geometry_.vertices.normals;
-  const Eigen::Vector3d outward =
-      normals.empty() ? Eigen::Vector3d(viewpoint_ - centre) : normals[nearest.front().second].cast<double>();
+  Eigen::Vector3d outward = viewpoint_ - centre;
+  // A point without a normal in a cloud that has them has the normal 0.
+  if (!normals.empty() && normals[nearest.front().second].squaredNorm() > 0)
+    outward = normals[nearest.front().second].cast<double>();
   if (normal.dot(outward) < 0) normal = -normal;
   const double distance = normal.dot(point - centre);
-  return Foot{point - distance * normal, normal, distance};
+  const Eigen::Vector3d foot = point - distance * normal;
+  double farthest = 0;  // along the plane
+  for (const auto& [squared, i] : nearest)
+    farthest = std::max(farthest, (points[i] - centre - normal.dot(points[i] - centre) * normal).norm());
+  return Foot{foot, normal, distance, (foot - centre).norm() > farthest};
 }
 
 }  // namespace malus

@@ -14,6 +14,8 @@ struct Foot {
   Eigen::Vector3d point;       ///< nearest point of the surface
   Eigen::Vector3d normal;      ///< unit, outward
   double signed_distance = 0;  ///< positive outside
+  /// The point lies beside the reference, beyond its border: the distance is not one in front of it or behind it.
+  bool is_beside = false;
 };
 
 /// A reference surface to measure distances from: a mesh, or a cloud if it has no triangles.
@@ -30,7 +32,9 @@ class ReferenceSurface {
   ///
   /// Mesh: exact point-to-triangle distance; its sign is that of the angle-weighted pseudonormal (Bærentzen and Aanæs
   /// 2005), so that edges and corners are right too. Cloud: signed distance to the total least squares plane through
-  /// the `neighbors` nearest points; max_distance is to the nearest of them.
+  /// the `neighbors` nearest points; max_distance is to the nearest of them. A point lies beside a mesh if it is seen
+  /// from the nearest place more than 60° off the normal there, and beside a cloud if its foot lies farther from the
+  /// middle of these points than all of them.
   std::optional<Foot> foot(const Eigen::Vector3d& point, double max_distance) const;
 
  private:

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/fields.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
@@ -181,6 +182,13 @@ double mean_of(const Image<float>& values) {
   return sum / count;
 }
 
+/// Throws a data error with the reason if no height was found.
+void require_height(const HeightMap& height) {
+  if (std::any_of(height.height.begin(), height.height.end(), [](float h) { return std::isfinite(h); })) return;
+  throw data_error("grid fusion takes its detail from the height from polarization alone, and there is none (" +
+                   std::string(enum_name(height.status)) + "); fusion = \"refined\" does not need it");
+}
+
 /// Warning for a height whose computation ended before it converged.
 std::string caution_of_moving_height(const HeightMap& height) {
   std::ostringstream text;
@@ -197,6 +205,8 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
                        const Context& context) {
   validate_fields(options, "grid");
   require_size(height.height, prior.depth.size(), "polarization height");
+  require_size(prior.sigma, prior.depth.size(), "prior sigma");
+  require_height(height);
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
   Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);

@@ -19,8 +19,8 @@ namespace malus {
 ///
 /// A pixel with a prior but no polarization height keeps the prior. sigma² is the prior's variance plus the local mean
 /// square (the same Gaussian) of the part of the difference that the smoothing removed, which is the disagreement of
-/// both surfaces in detail. Throws an input error for rasters of another size, a data error if no node has both
-/// surfaces.
+/// both surfaces in detail. Throws an input error for rasters of another size, a data error if there is no height, with
+/// the reason, or if no node has both surfaces.
 FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const GridFusionOptions& options,
                        const Context& context);
 

@@ -114,9 +114,9 @@ double object_side(const SurfaceEstimate& surface) {
       static_cast<double>(std::count_if(surface.object.begin(), surface.object.end(), [](auto m) { return m != 0; })));
 }
 
-/// Median s0 of the specular pixels, from a sample in large images.
+/// Median s0 of the specular pixels, from a sample of large objects.
 double median_specular_s0(const RefinementImage& image) {
-  const double share = 4e6 / static_cast<double>(image.size().area());
+  const double share = share_of_set(image.usable, 4e6);
   std::vector<float> values;
   for (int v = 0; v < image.size().height; ++v) {
     for (int u = 0; u < image.size().width; ++u) {
@@ -157,7 +157,7 @@ bool has_usable(const RefinementImage& image) {
 
 /// Mean normal of an even sample of the object's pixels, camera frame, facing the camera.
 Eigen::Vector3d mean_normal(const RefinementImage& image) {
-  const double share = 4e4 / static_cast<double>(image.size().area());
+  const double share = share_of_set(image.pixels, 4e4);
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (int v = 0; v < image.size().height; ++v) {
     for (int u = 0; u < image.size().width; ++u) {

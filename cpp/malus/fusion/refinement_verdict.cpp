@@ -104,6 +104,15 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
     warn(ConfidenceLevel::partial, "The surface is the prior's: the refined one did not come to rest.", surface);
     return;
   }
+  // No cell had enough pixels: the model was not asked, and so nothing speaks against it.
+  if (is_the_prior(report) && report.explained_share == 0) {
+    warn(
+        ConfidenceLevel::partial,
+        "The surface is the prior's: no part of the object has enough pixels with usable polarization side by side (64 "
+        "in 16 × 16) to tell whether the reflection model holds. Small and thin objects need a closer camera.",
+        surface);
+    return;
+  }
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
          "The surface is the prior's, or nearly: " + why_the_priors(report) +

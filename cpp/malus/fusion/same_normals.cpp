@@ -25,7 +25,7 @@ double distance_of_same_normals(const RefinementImage& image) {
     std::vector<double> u, v;
   };
   constexpr double per_unit = 0.5 * Surroundings::cells, most_pixels = 4e5;
-  const double share = most_pixels / static_cast<double>(image.size().area());
+  const double share = share_of_set(image.usable, most_pixels);
   Image<Places> cells({Surroundings::cells, Surroundings::cells});
   for (int v = 0; v < image.size().height; ++v) {
     for (int u = 0; u < image.size().width; ++u) {

@@ -213,15 +213,21 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
   map.last_update = std::sqrt(changes / std::max(pixels, 1.0));
 }
 
-/// Whether a raster is solved as a whole.
-bool is_whole(Size size, const HeightOptions& options) {
-  return size.area() <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
+/// Whether this many pixels are solved as a whole.
+bool is_whole(std::size_t pixels, const HeightOptions& options) {
+  return pixels <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
 }
 
-/// Height of a raster of any size: large rasters are solved at half the resolution first, then in tiles.
+std::size_t pixels_of(const Mask& object) {
+  return static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
+}
+
+/// Height of an object of any size: large ones are solved at half the resolution first, then in tiles. Only the
+/// object's own pixels count: with those around it, a small object in a large image would be halved until little of it
+/// is left.
 void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
                      const Context& context, HeightMap& map) {
-  if (is_whole(data.size(), options)) {
+  if (is_whole(pixels_of(data.object), options)) {
     solve_whole(data, options, light, context, map);
     return;
   }
@@ -286,10 +292,10 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 
   // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
   const Mask object = pixels_in(state, PixelState::saturated);
-  map.unknowns =
-      static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
+  map.unknowns = pixels_of(object);
   const PixelRect all{0, 0, state.size().width, state.size().height};
-  if (!is_whole(state.size(), options)) {
+  // The data of a whole raster take much memory, whatever the object's size.
+  if (!is_whole(state.size().area(), options)) {
     solve_by_levels(coarsened(input, options, context), options, model, context, map);
     if (map.status == HeightStatus::singular) {
       map.height = Image<float>(state.size(), 1, none);

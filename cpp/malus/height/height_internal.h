@@ -30,7 +30,7 @@ struct HeightInput {
 };
 
 /// Up to this number of pixels the likelihood method solves a raster as a whole. Larger rasters are solved at half the
-/// resolution first and finished in tiles.
+/// resolution first, and again until no more pixels of the object are left than this; then they are finished in tiles.
 inline constexpr std::size_t whole_height_pixels = 200'000;
 
 /// Height from polarization and shading alone (Eq 9 to 11).

@@ -63,10 +63,11 @@ Expected zenith_cost(const Workload& work) {
 
 Expected height_cost(const Workload& work) {
   Expected cost = expected({2.3, 0.93, 49, 75}, work.object_mpx, work.threads);
-  // The height is solved for the whole raster, many times, at the first halved resolution that is small enough.
+  // The height is solved as a whole, many times, at the first resolution at which the object is small enough; that of a
+  // large raster is halved in any case.
   constexpr double seconds_per_mpx = 35;
-  double share = 1;
-  while (share * static_cast<double>(work.size.area()) > static_cast<double>(whole_height_pixels)) share /= 4;
+  double share = work.size.area() > whole_height_pixels ? 0.25 : 1;
+  while (share * 1e6 * work.object_mpx > static_cast<double>(whole_height_pixels)) share /= 4;
   cost.seconds += seconds_per_mpx * share * work.object_mpx;
   return cost;
 }

@@ -241,7 +241,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
     const Image<std::uint8_t> texture =
         display_image(picture, surface.depth, options.white_percentile, options.glb_texture_px, quiet);
     SurfaceOptions coarse = options;
-    coarse.subsample = subsample_for(mesh.triangles, options.glb_triangles, options);
+    coarse.subsample = subsample_for_glb(surface, mesh.triangles, options, quiet);
     write_glb(file, mesh_from_depth(surface, {}, coarse, quiet), {texture, surface.camera, surface.pose},
               length_unit(station.unit), station.name, quiet, extras);
     return true;

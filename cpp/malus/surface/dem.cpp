@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <sstream>
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
@@ -71,17 +72,26 @@ Eigen::Vector3d raster_coordinates(const Dem& dem, const Eigen::Vector3d& x) {
   return {offset.dot(dem.right) / dem.pixel, -offset.dot(dem.up) / dem.pixel, offset.dot(dem.normal)};
 }
 
-/// Moves the origin to the top-left corner of the vertices and allocates the raster.
-void allocate(Dem& dem, const MeshInStrips& mesh, const Context& context) {
+/// Moves the origin to the top-left corner of the vertices and allocates the raster. If it would be too large its
+/// pixels grow, unless their size is what the user asks for.
+void allocate(Dem& dem, const MeshInStrips& mesh, bool may_grow, const Context& context) {
   std::vector<Eigen::AlignedBox2d> boxes(mesh.strips);
   for_strips(mesh, context, [&](std::size_t k, const MeshStrip& strip) {
     for (const Eigen::Vector3d& x : strip.mesh.vertices.points) boxes[k].extend(raster_coordinates(dem, x).head<2>());
   });
   Eigen::AlignedBox2d box;
   for (const Eigen::AlignedBox2d& part : boxes) box.extend(part);
-  const Eigen::Array2d low = box.min(), extent = (box.max() - box.min()).array().floor() + 1;
-  if (!(extent.prod() <= 4e8))
+  const double growth = dem_growth(box.sizes());
+  if (growth != 1 && !may_grow)
     throw resource_error("the elevation model would exceed 400 million pixels; raise surface.dem_pixel");
+  if (growth != 1) {
+    std::ostringstream message;
+    message << "as fine as the mesh the elevation model would exceed 400 million pixels: its pixels are " << growth
+            << " times as large (surface.dem_pixel)";
+    context.log(LogLevel::warning, message.str());
+  }
+  dem.pixel *= growth;
+  const Eigen::Array2d low = box.min().array() / growth, extent = (box.sizes().array() / growth).floor() + 1;
   dem.origin = dem.world(low.x(), low.y(), 0);
   dem.elevation = Image<float>::uninitialized({static_cast<int>(extent.x()), static_cast<int>(extent.y())});
   for_values(dem.elevation, context, [](float& value) { value = below_everything; });
@@ -123,6 +133,15 @@ void rasterize(const std::array<Eigen::Vector3d, 3>& corner, Image<float>& eleva
 
 }  // namespace
 
+double dem_growth(const Eigen::Vector2d& sides) {
+  constexpr double most = 4e8;
+  const auto pixels = [&](double growth) { return ((sides.array() / growth).floor() + 1).prod(); };
+  if (pixels(1) <= most) return 1;
+  double growth = std::ceil(std::sqrt(pixels(1) / most));
+  while (pixels(growth) > most) ++growth;  // by the fractions of a pixel at the borders
+  return growth;
+}
+
 Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context) {
   if (mesh.triangles.empty()) throw data_error("the mesh has no triangles, so there is no elevation model");
@@ -140,7 +159,7 @@ Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const S
   validate_fields(options, "surface");
   Dem dem = plane_frame(object_plane(mesh, surface.pose.centre(), context), surface.pose);
   dem.pixel = options.dem_pixel ? *options.dem_pixel : median_gsd(surface, context) * options.subsample;
-  allocate(dem, mesh, context);
+  allocate(dem, mesh, !options.dem_pixel, context);
   for_strips(mesh, context, [&](std::size_t, const MeshStrip& strip) {
     const std::vector<Eigen::Vector3d>& points = strip.mesh.vertices.points;
     for (const auto& [a, b, c] : strip.mesh.triangles) {

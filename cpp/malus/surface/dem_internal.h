@@ -29,12 +29,15 @@ struct Dem {
 /// Elevation model of a mesh made from this surface: the plane is fitted robustly to the vertices, its x axis is the
 /// camera's x axis projected into it, and the triangles are rasterized (linear inside each; the highest is kept where
 /// the surface overhangs). The pixel is options.dem_pixel, or depth / focal at the median depth times
-/// options.subsample. Throws a data error for a mesh without triangles or a plane seen edge-on, a resource error if the
-/// raster would exceed 400 million pixels.
+/// options.subsample, times dem_growth with a warning. Throws a data error for a mesh without triangles or a plane seen
+/// edge-on, a resource error if a raster with options.dem_pixel would exceed 400 million pixels.
 Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
 /// The same for a mesh that is not in memory.
 Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
+
+/// Whole factor by which pixels must grow so that a raster with these sides [px] has at most 400 million of them.
+double dem_growth(const Eigen::Vector2d& sides);
 
 }  // namespace malus

@@ -84,7 +84,7 @@ class Grid {
         camera_(surface.camera),
         step_(options.subsample),
         min_cosine_(std::cos(options.max_incidence_deg * std::numbers::pi / 180)),
-        max_sigma_(options.max_sigma_gsd / surface.camera.fx),
+        max_sigma_(options.max_sigma_gsd / surface.camera.focal()),
         size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1},
         strip_rows_(std::max(1, pixels_of_strip / (depth_.width() * step_))) {
     if (size_.width < 2 || size_.height < 2) return;
@@ -333,6 +333,7 @@ MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& col
   const auto maker = std::make_shared<const StripMaker>(surface, color, options, context);
   if (maker->vertices() == 0) {
     std::ostringstream message;
+    if (options.subsample > 1) message << "with surface.subsample = " << options.subsample << ' ';
     message << "the fused depth has no connected pixels whose standard deviation is at most " << options.max_sigma_gsd
             << " GSD (surface.max_sigma_gsd), so there is no surface to mesh";
     throw data_error(message.str());
@@ -377,6 +378,15 @@ int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& option
   constexpr int largest = 64;
   const double factor = std::ceil(std::sqrt(static_cast<double>(triangles) / limit));
   return static_cast<int>(std::clamp(factor * options.subsample, 1.0 * options.subsample, 1.0 * largest));
+}
+
+int subsample_for_glb(const FusedSurface& surface, std::size_t triangles, const SurfaceOptions& options,
+                      const Context& context) {
+  SurfaceOptions coarse = options;
+  coarse.subsample = subsample_for(triangles, options.glb_triangles, options);
+  while (coarse.subsample > options.subsample && StripMaker(surface, {}, coarse, context).triangles() == 0)
+    coarse.subsample = std::max(options.subsample, coarse.subsample / 2);
+  return coarse.subsample;
 }
 
 }  // namespace malus

@@ -34,4 +34,9 @@ MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& col
 /// least options.subsample, at most the option's bound.
 int subsample_for(std::size_t triangles, int limit, const SurfaceOptions& options);
 
+/// The same for options.glb_triangles and the mesh of this surface. If all of it is thinner than the larger cells (a
+/// wire, a ring), these are halved until some of it is left, whatever the limit.
+int subsample_for_glb(const FusedSurface& surface, std::size_t triangles, const SurfaceOptions& options,
+                      const Context& context);
+
 }  // namespace malus

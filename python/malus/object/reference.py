@@ -112,7 +112,7 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
             _core.distances_from_reference(
                 np.ascontiguousarray(mesh.vertices[start : start + _MOST_AT_ONCE]),
                 np.ascontiguousarray(mesh.normals[start : start + _MOST_AT_ONCE]),
-                reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads,
+                reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads, False,
             )
             for start in range(0, len(mesh.vertices), _MOST_AT_ONCE)
         ]
@@ -144,8 +144,9 @@ def _completeness(reference: Reference, mesh: ObjectMesh, gsd: float, threads: i
     # A mesh too large to be searched as a whole is searched as a cloud of some of its vertices.
     thinner = max(1, len(mesh.vertices) // _MOST_AT_ONCE)
     triangles = np.ascontiguousarray(mesh.triangles, np.uint32) if thinner == 1 else None
+    # What lies so many GSD beyond the mesh's border counts, too.
     distances = _core.distances_from_reference(
-        points, points, np.ascontiguousarray(mesh.vertices[::thinner]), triangles, gsd, _options(_COMPLETE_GSD[-1]), threads
+        points, points, np.ascontiguousarray(mesh.vertices[::thinner]), triangles, gsd, _options(_COMPLETE_GSD[-1]), threads, True
     )  # fmt: skip
     with np.errstate(invalid="ignore"):
         return {

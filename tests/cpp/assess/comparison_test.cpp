@@ -112,6 +112,17 @@ TEST(Comparison, SphereAgainstItsMeshAndItsCloud) {
   }
 }
 
+TEST(Comparison, PointsWithoutNormalsFaceTheCamera) {
+  const FusedSurface surface = wavy(1);
+  TriangleMesh reference = mesh_of(wavy(0));
+  reference.triangles.clear();
+  for (std::size_t i = 0; i < reference.vertices.normals.size(); ++i) {
+    if (i % 160 < 80) reference.vertices.normals[i].setZero();
+  }
+  const ReferenceComparison result = compare_with_reference(surface, reference, gsd, {}, {});
+  EXPECT_GT(result.distance_gsd.p05, 1) << "the surface is in front of the reference";
+}
+
 TEST(Comparison, SignedDistancesAreRightAllAroundAClosedCloud) {
   PointCloud ball;
   std::vector<Eigen::Vector3d> outside, directions;
@@ -146,6 +157,24 @@ TEST(Comparison, AlignsThePointsOfAnySurface) {
   EXPECT_FALSE(align_with_reference(std::span(moved).first(5), reference, gsd, options, {}).converged);
 }
 
+TEST(Comparison, AlignsFarFromTheOriginAsNearIt) {
+  // In meters and UTM: a billionth of the coordinates is 5 mm, which is 53 GSD.
+  constexpr double meters_per_unit = 2e-4;
+  const Eigen::Vector3d utm(450e3, 5.3e6, 120), shift(5e-5, -4e-5, 6e-5);
+  TriangleMesh reference = mesh_of(wavy(0));
+  std::vector<Eigen::Vector3d> moved;
+  for (std::size_t i = 0; i < reference.vertices.points.size(); ++i) {
+    Eigen::Vector3d& x = reference.vertices.points[i];
+    x = utm + meters_per_unit * x;
+    if (i % 97 == 0) moved.push_back(x + shift);
+  }
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  const PointAlignment found = align_with_reference(moved, reference, meters_per_unit * gsd, options, {});
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT((found.reference_from_surface.apply(moved[99]) - moved[99] + shift).norm(), 1e-6);
+}
+
 TEST(Comparison, FarPixelsAreLeftOutAndReported) {
   const FusedSurface half = wavy(0, 80, 120);
   FusedSurface reference_view = half;
@@ -167,6 +196,21 @@ TEST(Comparison, FarPixelsAreLeftOutAndReported) {
   EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
   EXPECT_NE(said.find("no pixel is near the reference"), std::string::npos) << said;
   EXPECT_NE(said.find("--register"), std::string::npos) << said;
+}
+
+TEST(Comparison, PixelsBesideAReferenceOfAPartAreNotCompared) {
+  // Up to 50 GSD beyond its border, the distance to the nearest place of the reference is one along the surface.
+  FusedSurface part = wavy(0);
+  for (int v = 0; v < 120; ++v) {
+    for (int u = 80; u < 160; ++u) part.depth(u, v) = none;
+  }
+  TriangleMesh reference = mesh_of(part);
+  for (const bool is_mesh : {true, false}) {
+    if (!is_mesh) reference.triangles.clear();
+    const ReferenceComparison result = compare_with_reference(wavy(0.5 * gsd), reference, gsd, {}, {});
+    EXPECT_NEAR(result.compared_fraction, 0.5, 0.03) << is_mesh;
+    EXPECT_NEAR(result.distance_gsd.rmse, 0.45, 0.1) << is_mesh;
+  }
 }
 
 TEST(Comparison, ReportsAReferenceOffsetFromTheSurface) {

@@ -38,6 +38,8 @@ TEST(Patches, RmseIsTheNoisePerpendicularToThePlaneInGsd) {
             9000u);
   const auto clean = fit_patch(noisy_plane(0), patch_camera, {"label", 10, 5, 109, 94}, 0.5, {}, {});
   EXPECT_LT(clean->rmse_gsd, 1e-4);
+  EXPECT_LT(clean->roughness_gsd, 1e-4) << "a tilt is no roughness";
+  EXPECT_NEAR(fit->roughness_gsd, 0.2, 0.006);
 }
 
 TEST(Patches, PositiveDistancesAreTowardsTheCamera) {

@@ -165,7 +165,20 @@ TEST(GridFusion, RejectsMismatchedInputsAndInvalidOptions) {
   const DepthPrior prior = prior_of(size, [](int, int) { return 0; });
   const HeightMap height = map_of(size, [](int, int) { return 0; });
   expect_error(ErrorCode::input, [&] { fuse_grid(map_of({32, 31}, [](int, int) { return 0; }), prior, {}, {}); });
-  expect_error(ErrorCode::data, [&] { fuse_grid(map_of(size, [](int, int) { return none; }), prior, {}, {}); });
+  HeightMap nothing = map_of(size, [](int, int) { return none; });
+  nothing.status = HeightStatus::light_along_view;
+  expect_error(
+      ErrorCode::data, [&] { fuse_grid(nothing, prior, {}, {}); }, "light along the view direction");
+  HeightMap elsewhere = height;
+  DepthPrior left = prior;
+  for (int v = 0; v < 32; ++v) {
+    for (int u = 0; u < 32; ++u) (u < 16 ? elsewhere.height : left.depth)(u, v) = none;
+  }
+  expect_error(
+      ErrorCode::data, [&] { fuse_grid(elsewhere, left, {}, {}); }, "share no node");
+  DepthPrior unsure = prior;
+  unsure.sigma = {};
+  expect_error(ErrorCode::input, [&] { fuse_grid(height, unsure, {}, {}); });
   GridFusionOptions options;
   options.grid_px = 0;
   expect_error(ErrorCode::input, [&] { fuse_grid(height, prior, options, {}); });

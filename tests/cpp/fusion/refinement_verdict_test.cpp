@@ -81,6 +81,15 @@ TEST(Verdict, AWrongModelIsHarmlessIfThePriorWasKept) {
   EXPECT_TRUE(mentions(surface.warnings, "no better"));
 }
 
+TEST(Verdict, AModelThatWasNotAskedIsNotBlamed) {
+  RefineReport report = good();
+  report.trusted_share = report.explained_share = report.explained_beyond_plane = 0;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(mentions(surface.confidence.reasons, "enough pixels"));
+  EXPECT_FALSE(mentions(surface.confidence.reasons, "does not explain"));
+}
+
 TEST(Verdict, PolarizationThatAPlaneExplainsIsNoEvidenceOfRelief) {
   RefineReport report = good();
   report.explained_beyond_plane = 0.1;

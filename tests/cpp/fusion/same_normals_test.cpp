@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/same_normals_internal.h"
@@ -17,6 +19,21 @@ RefinementImage surface(const SyntheticStation& station, const Height& height) {
     for (int u = 0; u < image.size().width; ++u)
       image.x(u, v) = height(u - 0.5 * image.size().width, v - 0.5 * image.size().height);
   }
+  return image;
+}
+
+/// The same object in the corner of an image of this size.
+RefinementImage in_large_image(const RefinementImage& small, Size size) {
+  const auto padded = [&](const auto& part) {
+    std::decay_t<decltype(part)> whole(size);
+    for (int v = 0; v < part.height(); ++v) std::copy_n(part.row(v), part.width(), whole.row(v));
+    return whole;
+  };
+  RefinementImage image = small;
+  image.pixels = padded(small.pixels);
+  image.usable = padded(small.usable);
+  image.object = padded(small.object);
+  image.x = padded(small.x);
   return image;
 }
 
@@ -41,6 +58,15 @@ TEST(SameNormals, DistanceIsRobustAgainstOneStrayFacet) {
   const auto bowl = [](double x, double y) { return 0.004 * (x * x + y * y); };
   const auto chipped = [&](double x, double y) { return x > 50 && y > 40 ? 0 : bowl(x, y); };
   EXPECT_NEAR(distance_of_same_normals(surface(station, chipped)), distance_of_same_normals(surface(station, bowl)), 2);
+}
+
+TEST(SameNormals, OfASmallObjectDoNotDependOnTheImageAroundIt) {
+  SyntheticOptions scene;
+  scene.size = {40, 40};
+  const SyntheticStation station = make_station(scene);
+  const RefinementImage alone =
+      surface(station, [](double x, double y) { return 1.5 * std::sin(0.3 * x) * std::cos(0.3 * y); });
+  EXPECT_EQ(distance_of_same_normals(in_large_image(alone, {4000, 2000})), distance_of_same_normals(alone));
 }
 
 TEST(SameNormals, DistanceIsAtLeastOnePixel) {

@@ -362,6 +362,19 @@ TEST(Height, LargeRastersAreSolvedByTheLinearMethodToo) {
   EXPECT_LT(normal_error(scene, map), 3.0);
 }
 
+TEST(Height, OfASmallObjectInALargeImageKeepsItsResolution) {
+  // Halved twice, the image would be small enough to be solved as a whole, but little would be left of the object.
+  const Size image{1000, 850};
+  const Surface in_the_middle = [&](int u, int v, double& height, Eigen::Vector3d& normal) {
+    const int x = u - 468, y = v - 393;
+    return x >= 0 && y >= 0 && x < 64 && y < 64 && bumps(64)(x, y, height, normal);
+  };
+  const Scene scene = render(in_the_middle, image, nullptr, light_above, 0.001);
+  const HeightMap map = solve(scene);
+  EXPECT_EQ(map.status, HeightStatus::converged);
+  EXPECT_LT(normal_error(scene, map), 0.5) << "alone 0.2, halved once 0.3, halved twice 1.0";
+}
+
 TEST(Height, ConvertsDepthToHeight) {
   const Pinhole camera{{3, 1}, 400, 400, 1, 0};
   Image<float> depth(camera.size);

@@ -87,6 +87,13 @@ TEST(Dem, SameWithAnyNumberOfThreads) {
   }
 }
 
+TEST(Dem, PixelsGrowAsFarAsALargeRasterNeeds) {
+  EXPECT_EQ(dem_growth({19999, 19999}), 1);
+  EXPECT_EQ(dem_growth({20000, 19999}), 2) << "an image of 400 megapixels and a row";
+  EXPECT_EQ(dem_growth({60000, 60000}), 4) << "at three times, 20001 x 20001";
+  EXPECT_GT(dem_growth({1e14, 1e14}), 4e9);
+}
+
 TEST(Dem, RefusesAnEmptyMeshAndAHugeRaster) {
   const FusedSurface surface = mesa(1);
   EXPECT_THROW(dem_from_mesh(TriangleMesh{}, surface, {}, {}), Error);

@@ -94,6 +94,12 @@ TEST(Mesh, EndsWhereTheDepthIsTooUncertain) {
   SurfaceOptions generous;
   generous.max_sigma_gsd = 13;
   EXPECT_EQ(triangle_count(plane, generous), 2u * 49u * 39u);
+  // A GSD is depth / mean focal length, whatever the pixels' sides.
+  FusedSurface wide = surface_of({50, 40}, 1000, [](int, int) { return 500.0; });
+  wide.camera.fx = 1500;
+  wide.camera.fy = 500;
+  wide.sigma = Image<float>({50, 40}, 1, 4.9f);  // 9.8 GSD
+  EXPECT_EQ(triangle_count(wide), 2u * 49u * 39u);
   plane.sigma = Image<float>({3, 3}, 1, 1);
   EXPECT_THROW(mesh_from_depth(plane, {}, {}, {}), Error);
 }
@@ -153,6 +159,10 @@ TEST(Mesh, RefusesWhatItCannotMesh) {
   other = flat;
   other.depth.fill(none);
   expect_refused(ErrorCode::data, other, {}, {});
+  SurfaceOptions coarse;
+  coarse.subsample = 64;
+  expect_error(
+      ErrorCode::data, [&] { mesh_from_depth(flat, {}, coarse, {}); }, "surface.subsample = 64");
 }
 
 }  // namespace

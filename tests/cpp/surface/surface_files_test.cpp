@@ -127,6 +127,20 @@ TEST(Subsample, GrowsWithTheNumberOfTriangles) {
   EXPECT_EQ(subsample_for(1u << 30, 100, options), 64);
 }
 
+TEST(Subsample, LeavesSomethingOfAThinRing) {
+  const FusedSurface ring = surface_of({301, 301}, 1000, [](int u, int v) {
+    return std::abs(std::hypot(u - 150, v - 150) - 130) < 2.5 ? 500.0 : double{none};
+  });
+  SurfaceOptions options;
+  options.glb_triangles = 100;
+  const std::size_t triangles = mesh_from_depth(ring, {}, options, {}).triangles.size();
+  options.subsample = subsample_for(triangles, options.glb_triangles, options);
+  EXPECT_THROW(mesh_from_depth(ring, {}, options, {}), Error);
+  options.subsample = 1;
+  options.subsample = subsample_for_glb(ring, triangles, options, {});
+  EXPECT_FALSE(mesh_from_depth(ring, {}, options, {}).triangles.empty());
+}
+
 TEST(Dem, FileHoldsTheRaster) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball();
