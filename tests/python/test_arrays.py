@@ -118,6 +118,13 @@ def test_types_of_options_are_those_of_the_library() -> None:
     assert "smoothness" in dir(options.height)
 
 
+def test_nan_in_a_mask_is_no_object(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    mask = np.full((40, 50), np.nan)
+    mask[10:20, 10:20] = 1
+    state = malus.polarization.decompose(polarized(*maps), ANGLES, mask=mask)
+    np.testing.assert_array_equal(np.isfinite(state.degree), np.isfinite(mask))
+
+
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
     """Against normals with y up, from central differences of a height in pixels; borders, which lack a side, left out."""
     inner = mask.copy()
