@@ -197,3 +197,10 @@ def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> 
     station = in_memory(pictures, prior_points=points, scale=[bar])
     found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
     assert np.nanmedian(found.prior_depth) == pytest.approx(200, rel=1e-3)
+
+
+def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:
+    station = in_memory(pictures).with_curves_of([(59, 39)])
+    assert station.describe()["curve_pixels"] == [[59, 39]]
+    with pytest.raises(malus.InputError, match=r"pixel \[60, 0\].*60 x 40"):
+        station.with_curves_of([(60, 0)])
