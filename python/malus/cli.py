@@ -96,9 +96,11 @@ _Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 class _Add(Protocol):
-    """Adds a command that takes the common options, and by default a station file and a workspace folder."""
+    """Adds a command that takes the common options, and by default a station file, a workspace folder and the options of the steps."""
 
-    def __call__(self, name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser: ...
+    def __call__(
+        self, name: str, text: str, *, station: bool = True, work: bool = True, runs: bool = True
+    ) -> argparse.ArgumentParser: ...
 
 
 def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
@@ -109,8 +111,17 @@ def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
 
 
 def _common_options() -> _Parser:
+    """The options of every command that takes a workspace or makes one."""
     common = _Parser(add_help=False)
     common.add_argument("--threads", type=int, metavar="N", help="default: all cores")
+    common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
+    common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
+    return common
+
+
+def _run_options() -> _Parser:
+    """The options of the steps, of every command that runs some; the result in a finished workspace has its own already."""
+    common = _Parser(add_help=False)
     common.add_argument(
         "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="any option of any step"
     )
@@ -121,19 +132,20 @@ def _common_options() -> _Parser:
         help="the paper's transfer (default of malus paper), or the refinement (default of all others)",
     )
     common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
-    common.add_argument("--json", action="store_true", help="one JSON object a progress event on standard output")
-    common.add_argument("--quiet", action="store_true", help="errors, warnings and a confidence that is not high only")
     return common
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
-    common = _common_options()
+    common, of_steps = _common_options(), _run_options()
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
-    def add(name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=text, description=text, parents=[common])
+    def add(
+        name: str, text: str, *, station: bool = True, work: bool = True, runs: bool = True
+    ) -> argparse.ArgumentParser:
+        parents = [common, of_steps] if runs else [common]
+        command = commands.add_parser(name, help=text, description=text, parents=parents)
         if station:
             command.add_argument("station", type=Path, metavar="STATION.toml")
         if work:
@@ -199,11 +211,13 @@ def _add_runs(add: _Add) -> None:
 
 
 def _add_uses_of_a_workspace(add: _Add) -> None:
-    report = add("report", "rebuild the report of a workspace", station=False, work=False)
+    report = add("report", "rebuild the report of a workspace", station=False, work=False, runs=False)
     report.add_argument("work", type=Path, metavar="WORK")
-    view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
+    view = add("view", "open the report of a workspace in the web browser", station=False, work=False, runs=False)
     view.add_argument("work", type=Path, metavar="WORK")
-    export = add("export", "write the surface of a workspace for another program", station=False, work=False)
+    export = add(
+        "export", "write the surface of a workspace for another program", station=False, work=False, runs=False
+    )
     export.add_argument("work", type=Path, metavar="WORK")
     export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
@@ -240,7 +254,7 @@ def _add_chart(commands: _Commands) -> None:
 
 
 def _add_compare(add: _Add) -> None:
-    dates = add("compare", "what changed between two workspaces of one object", station=False, work=False)
+    dates = add("compare", "what changed between two workspaces of one object", station=False, work=False, runs=False)
     dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
     dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
     dates.add_argument(
