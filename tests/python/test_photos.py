@@ -437,6 +437,12 @@ def test_metashape_cameras(tmp_path: Path) -> None:
     path.write_text(divided.replace('sensor_id="0">', 'sensor_id="0" component_id="1">'))
     rotation, translation = read_metashape(path)["a.jpg"].pose()
     np.testing.assert_allclose(-rotation.T @ translation, [1, 2, 3], atol=1e-12)
+    # One folder and the next may both have a file a.jpg; a camera without a position does not count.
+    another = (
+        '<camera id="7" label="a.jpg" sensor_id="0"><transform>1 0 0 5 0 1 0 5 0 0 1 5 0 0 0 1</transform></camera>'
+    )
+    path.write_text(METASHAPE.replace("</cameras>", another + "</cameras>").replace("unplaced", "a.jpg"))
+    assert list(read_metashape(path)) == ["a.jpg [0]", "a.jpg [7]"]
     path.write_text(METASHAPE.replace("<k1>", "<b2>0.5</b2><k1>"))
     with pytest.raises(package.InputError, match="b2"):
         read_metashape(path)

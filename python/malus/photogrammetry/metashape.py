@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +84,7 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
 
 
 def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
-    """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml.
+    """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml. Cameras that share a label are "label [id]".
 
     World frame and unit follow from the transform of a camera's component (in versions that divide chunks into components), else from
     the transform of the chunk; without a transform they are the chunk's own. Cameras without a position are left out. Poses are
@@ -110,11 +111,13 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
         if sensor.find("calibration") is not None
     }
     cameras: dict[str, Camera] = {}
-    for element in source.iter("camera"):
+    placed = [element for element in source.iter("camera") if element.find("transform") is not None]
+    labels = [element.get("label") or str(element.get("id")) for element in placed]
+    # Cameras' file numbers start anew after 9999 and on every card.
+    times = Counter(labels)
+    for element, label in zip(placed, labels, strict=True):
         transform = element.find("transform")
-        if transform is None:
-            continue
-        label = element.get("label") or str(element.get("id"))
+        assert transform is not None
         where = f'{file}: camera "{label}"'
         if element.get("sensor_id") not in lenses:
             raise InputError(f"{where} has sensor {element.get('sensor_id')!r}, which has no calibration")
@@ -123,5 +126,6 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
         world_from_cam = world.rotation @ chunk_from_cam[:3, :3]
         center = world.scale * world.rotation @ chunk_from_cam[:3, 3] + world.translation
         model, width, height, params = lenses[element.get("sensor_id")]
-        cameras[label] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
+        name = label if times[label] == 1 else f"{label} [{element.get('id')}]"
+        cameras[name] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
     return cameras
