@@ -104,6 +104,11 @@ def test_options_are_checked() -> None:
         options.grid.grid_px = 1.5
     with pytest.raises(malus.InputError, match="from 1 to"):
         options.grid.grid_px = 0
+    options.update({"prior": {"sigma": np.float32(0.25)}, "grid": {"grid_px": np.int64(6)}})
+    assert (options.prior.sigma, options.grid.grid_px) == (0.25, 6)
+    for wrong in (np.nan, np.float32("inf"), np.zeros(2)):
+        with pytest.raises(malus.InputError, match=r"option prior.sigma = .*expected a "):
+            options.update({"prior": {"sigma": wrong}})
     with pytest.raises(ValueError):
         malus.Options(fusion="magic")
     assert all(doc for _, _, _, doc in malus.Options.describe())
