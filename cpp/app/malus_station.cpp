@@ -233,7 +233,10 @@ int main(int argc, char** argv) {
   app.add_option("--preset", arguments.preset, "start from a named set of options: paper")->type_name("NAME");
   app.add_option("--until", arguments.until, "the step to run, after those it needs")->type_name("STEP");
   app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
-  app.add_option("--set", arguments.assignments, "any option of any step")->type_name("SECTION.KEY=VALUE")->take_all();
+  app.add_option("--set", arguments.assignments, "any option of any step")
+      ->type_name("SECTION.KEY=VALUE")
+      ->take_all()
+      ->allow_extra_args(false);
   app.add_option("--options", arguments.options_file, "options, one table a step")->type_name("FILE.toml");
   app.add_option("--threads", arguments.threads, "default: all cores")->check(CLI::PositiveNumber);
   app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");

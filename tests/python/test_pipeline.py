@@ -548,6 +548,20 @@ def test_help_and_version() -> None:
     assert malus_station("--version").code == 0
 
 
+def test_an_option_may_stand_before_the_station(tmp_path: Path) -> None:
+    words = (
+        "--set",
+        "refine.tile_px=200",
+        "--set",
+        "refine.margin_px=20",
+        tmp_path / "none.toml",
+        "-o",
+        tmp_path / "work",
+    )
+    for outcome in (malus_station(*words), run_malus("run", *words)):
+        assert outcome.code == 2 and "none.toml: no such file" in outcome.err, outcome.err
+
+
 def test_python_is_not_needed_by_the_executable() -> None:
     program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
     if not program.exists():
