@@ -631,7 +631,7 @@ class Plates:
         axes.annotate(
             word, at, xytext=(0, 8) if above else (-8, -5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
             ha="left" if above else "right", va="bottom" if above else "top",
-            bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"},
+            bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"}, parse_math=False,
         )  # fmt: skip
 
     def profile_lines(self) -> Figure:

@@ -51,14 +51,16 @@ def draw_overlay(
         left = 0.1 + number * (panel_width + 0.1) * beside
         bottom = foot + (1 - number) * (panel_height + _HEAD_INCHES) * (not beside)
         panels.append(drawing.add_axes((left / wide, bottom / high, panel_width / wide, panel_height / high)))
-        panels[-1].set_title(title, fontsize=9)
+        panels[-1].set_title(title, fontsize=9, parse_math=False)  # a name may have $ in it
         _show_image(panels[-1], image, mask)
     if len(points):
         shown = _show_points(panels[1], points, image.shape)
         bar = drawing.add_axes(((wide - 0.85) / wide, foot / high, 0.15 / wide, panel_height / high))
         drawing.colorbar(shown, cax=bar).set_label(f"distance from the camera [{unit}]", fontsize=8)
         bar.tick_params(labelsize=7)
-    drawing.text(0.1 / wide, (foot - 0.15) / high, "\n".join(lines), fontsize=8, va="top", linespacing=1.4)
+    drawing.text(
+        0.1 / wide, (foot - 0.15) / high, "\n".join(lines), fontsize=8, va="top", linespacing=1.4, parse_math=False
+    )
     buffer = io.BytesIO()
     drawing.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()

@@ -476,8 +476,9 @@ def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path
     image, mask, points = malus._core.check_picture(malus.Station.load(small_station)._core, 1)
     assert image.shape == mask.shape == (160, 200)
     assert points.shape[1] == 3 and points[:, 0].min() > -0.5 and points[:, 1].max() < 159.5
-    half = draw_overlay(image, mask, points[points[:, 0] < 100], "half", "mm", ["Said."])
-    whole = draw_overlay(image, mask, points, "half", "mm", ["Said."])
+    # Between two $ matplotlib reads formulas, unless it is told not to.
+    half = draw_overlay(image, mask, points[points[:, 0] < 100], "half $5_{ and $10", "mm", ["Said of $a_{/b$."])
+    whole = draw_overlay(image, mask, points, "half $5_{ and $10", "mm", ["Said of $a_{/b$."])
 
     def colored(png: bytes) -> int:
         pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
