@@ -487,6 +487,16 @@ def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path
     assert 0.3 * colored(whole) < colored(half) < 0.75 * colored(whole)  # half of the points, and the scale
 
 
+def test_check_refuses_images_that_the_run_refuses(small_station: Path, tmp_path: Path) -> None:
+    last = sorted((small_station.parent / "pol").glob("*.tif"))[-1]
+    pixels = tifffile.imread(last).astype(np.float32)
+    pixels[0, 0] = np.nan
+    tifffile.imwrite(last, pixels)
+    for words in (("check",), ("decompose", "-o", tmp_path / "work")):
+        outcome = run_malus(*words[:1], small_station, *words[1:])
+        assert outcome.code == 2 and f"{last.name}: pixel (0, 0) is not a finite number" in outcome.err
+
+
 def test_check_leaves_the_picture_of_a_cloud_that_misses_the_object_too(small_station: Path, tmp_path: Path) -> None:
     mask = np.zeros((160, 200), np.uint8)
     mask[0, 0] = 255
