@@ -53,6 +53,10 @@ STEP_COMMANDS = {
 }
 
 
+#: The options of the steps (see _run_options).
+_OF_STEPS = ("--set", "--options", "--fusion", "--preset")
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that raises InputError, which ends the program with its exit code."""
 
@@ -71,6 +75,8 @@ class _Parser(argparse.ArgumentParser):
                     break
                 if name.startswith("--") and not any(known.startswith(name) for known in self._option_string_actions):
                     near = difflib.get_close_matches(name, self._option_string_actions, n=1)
+                    if name in _OF_STEPS:
+                        self.error(f"{name} is for commands that run steps, such as `malus run`; this one runs none")
                     self.error(f"{name} is unknown" + (f"; did you mean {near[0]}?" if near else ""))
         return super().parse_known_args(args, namespace)
 

@@ -162,8 +162,8 @@ def test_a_slip_in_a_word_is_told() -> None:
         (["demo", "coins"], "'coins' is unknown; did you mean coin?"),
         (["nonsense"], "choose from"),
         (["export", "work", "--fromat", "stl"], "--fromat is unknown; did you mean --format?"),
-        (["report", "work", "--set", "assess.alignment=rigid"], "--set is unknown\n"),
-        (["export", "work", "--format", "stl", "--preset", "paper"], "--preset is unknown"),
+        (["report", "work", "--set", "assess.alignment=rigid"], "--set is for commands that run steps"),
+        (["export", "work", "--format", "stl", "--preset", "paper"], "--preset is for commands that run steps"),
         (["run", "station.toml", "--until=fuse", "-o", "work"], "usage: malus run"),
         (["run", "station.toml", "--until=fuse", "-o", "work"], "malus: --until is unknown\n"),
     ):
