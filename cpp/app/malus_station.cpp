@@ -235,7 +235,8 @@ int main(int argc, char** argv) {
   app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
   app.add_option("--set", arguments.assignments, "set an option of any step; can be repeated")
       ->type_name("SECTION.KEY=VALUE")
-      ->take_all();
+      ->take_all()
+      ->allow_extra_args(false);
   app.add_option("--options", arguments.options_file, "file with options, one table per step")->type_name("FILE.toml");
   app.add_option("--threads", arguments.threads, "number of threads; default: all cores")->check(CLI::PositiveNumber);
   app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");

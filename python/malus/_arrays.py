@@ -69,8 +69,8 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
 
 
 def as_mask(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """H×W, 255 where the values are non-zero."""
+    """H×W, 255 where the values are neither zero nor NaN."""
     array = np.asarray(values)
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")
-    return np.where(array != 0, np.uint8(255), np.uint8(0))
+    return np.where((array != 0) & (array == array), np.uint8(255), np.uint8(0))  # NaN differs from itself

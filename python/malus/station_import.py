@@ -159,6 +159,11 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
 
 
+def _visible(folder: Path) -> list[Path]:
+    """What lies in the folder, without hidden files: macOS adds one, such as ._angles.csv, to every file on a disk of another system."""
+    return [path for path in folder.iterdir() if not path.name.startswith(".")]
+
+
 def mask_of(folder: Path) -> Path | None:
     """The folder's mask.png, which becomes the station's mask; None if there is none."""
     return next((path for path in folder.iterdir() if path.name.lower() == "mask.png"), None)
@@ -166,7 +171,7 @@ def mask_of(folder: Path) -> Path | None:
 
 def images_of(folder: Path, mask: Path | None) -> list[Path]:
     """The folder's RAW files, or, without RAW files, its other images except the mask, in natural order; InputError for none."""
-    files = [path for path in folder.iterdir() if path.is_file() and path != mask and not path.name.startswith(".")]
+    files = [path for path in _visible(folder) if path.is_file() and path != mask]
     raw = [path for path in files if is_raw(path)]
     images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
     if not images:
@@ -203,7 +208,7 @@ def shots_of(
         return [Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
     if pattern is not None:
         return [Shot(path, _core.angle_of_name(path, pattern, "--pattern")) for path in images]
-    tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
+    tables = sorted(path for path in _visible(folder) if path.suffix.lower() == ".csv")
     if table is None and len(tables) == 1:
         table = tables[0]
     if table is not None:
@@ -323,7 +328,7 @@ def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
 def _shots_of_sidecars(folder: Path) -> list[Shot]:
     """The images that JSON files in the folder describe; empty without such files."""
     shots = []
-    for path in sorted(folder.glob("*.json"), key=_natural):
+    for path in sorted((path for path in _visible(folder) if path.suffix == ".json"), key=_natural):
         try:
             content = json.loads(read_regular(path))
         except (OSError, ValueError, RecursionError) as error:

@@ -104,6 +104,11 @@ def test_options_are_checked() -> None:
         options.grid.grid_px = 1.5
     with pytest.raises(malus.InputError, match="from 1 to"):
         options.grid.grid_px = 0
+    options.update({"prior": {"sigma": np.float32(0.25)}, "grid": {"grid_px": np.int64(6)}})
+    assert (options.prior.sigma, options.grid.grid_px) == (0.25, 6)
+    for wrong in (np.nan, np.float32("inf"), np.zeros(2)):
+        with pytest.raises(malus.InputError, match=r"option prior.sigma = .*expected a "):
+            options.update({"prior": {"sigma": wrong}})
     with pytest.raises(ValueError):
         malus.Options(fusion="magic")
     assert all(doc for _, _, _, doc in malus.Options.describe())
@@ -116,6 +121,13 @@ def test_option_type_file_matches_the_library() -> None:
     options = malus.Options()
     assert {"height", "refine", "fusion", "set"} <= set(dir(options))
     assert "smoothness" in dir(options.height)
+
+
+def test_nan_in_a_mask_is_no_object(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    mask = np.full((40, 50), np.nan)
+    mask[10:20, 10:20] = 1
+    state = malus.polarization.decompose(polarized(*maps), ANGLES, mask=mask)
+    np.testing.assert_array_equal(np.isfinite(state.degree), np.isfinite(mask))
 
 
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:

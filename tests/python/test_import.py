@@ -125,6 +125,22 @@ def test_sidecars_with_a_plain_angle(folder: Path) -> None:
     assert polarized(folder / "station.toml")["angles_deg"] == [0, 60, 120]
 
 
+def test_hidden_files_are_not_read(folder: Path) -> None:
+    for name in ("1.png", "2.png", "3.png"):
+        image(folder / name)
+    (folder / "angles.csv").write_text("file,angle\n1.png,0\n2.png,50\n3.png,100\n")
+    (folder / "._angles.csv").write_bytes(b"\0\5\26\7")  # as macOS leaves it on a memory card
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == [0, 50, 100]
+    for path in (folder / "angles.csv", folder / "._angles.csv", folder / "station.toml"):
+        path.unlink()
+    for number, angle in ((1, 20), (2, 60), (3, 100)):
+        (folder / f"{number}.json").write_text(json.dumps({"angle": angle}))
+        (folder / f"._{number}.json").write_bytes(b"\0\5\26\7")
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == [20, 60, 100]
+
+
 def test_mosaic(folder: Path, tmp_path: Path) -> None:
     image(folder / "scene.png")
     outcome = run_malus("import", folder, "-o", tmp_path / "s.toml", "--mosaic", "90,45,135,0", "--colors", "RGGB")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 import malus
 from malus import _core
@@ -197,3 +198,22 @@ def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> 
     station = in_memory(pictures, prior_points=points, scale=[bar])
     found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
     assert np.nanmedian(found.prior_depth) == pytest.approx(200, rel=1e-3)
+
+
+def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:
+    station = in_memory(pictures).with_curves_of([(59, 39)])
+    assert station.describe()["curve_pixels"] == [[59, 39]]
+    with pytest.raises(malus.InputError, match=r"pixel \[60, 0\].*60 x 40"):
+        station.with_curves_of([(60, 0)])
+
+
+def test_labels_are_of_the_image_as_taken(pictures: list[np.ndarray], tmp_path: Path) -> None:
+    labels = np.full(SIZE, 2, np.uint8)
+    labels[:, :10] = 1
+    Image.fromarray(labels).save(tmp_path / "labels.png")
+    camera = malus.Camera("SIMPLE_RADIAL", SIZE[1], SIZE[0], [40.0, 29.5, 19.5, -0.3])
+    station = malus.Station(pictures, np.repeat(ANGLES, 2), camera, **WORDS, reflection=str(tmp_path / "labels.png"))
+    malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="zenith", workspace=tmp_path / "w")
+    found = np.asarray(Image.open(tmp_path / "w/polarization/label.png"))
+    # Column 7 of the undistorted view shows column 9.1 of the image, column 8 shows 9.9.
+    assert list(found[20, 6:10]) == [1, 1, 2, 2]

@@ -253,7 +253,7 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
   });
 }
 
-/// The object in the undistorted raster: the mask at the nearest captured pixel.
+/// The mask in the undistorted raster: its value at the nearest captured pixel.
 Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& context) {
   if (map.is_identity()) return mask;
   Mask result(mask.size());
@@ -443,6 +443,10 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   }
   context.progress("capture", 1, "done");
   return stack;
+}
+
+Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context) {
+  return resample_mask(captured, ResamplingMap(lens, identity_affine()), context);
 }
 
 }  // namespace malus

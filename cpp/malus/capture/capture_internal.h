@@ -41,4 +41,8 @@ CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<L
 /// mask.
 PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& options, const Context& context);
 
+/// A mask or labels of the first image as captured, in the undistorted view: the value of the nearest captured pixel, 0
+/// where there is none. Unchanged without a lens.
+Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context);
+
 }  // namespace malus

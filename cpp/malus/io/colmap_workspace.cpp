@@ -6,6 +6,7 @@
 #include "malus/core/error.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 
 namespace malus {
@@ -69,11 +70,10 @@ std::vector<fs::path> colmap_workspace_files(const fs::path& folder) {
 PointCloud read_colmap_workspace(const fs::path& folder, const Context& context, std::size_t largest_count) {
   const auto maps = depth_maps(folder);
   const ColmapModel model = read_colmap_model(folder / "sparse", ColmapParts::cameras_and_images);
+  // Not the cameras' pixels: maps may be much smaller. Their headers have a few bytes only.
   double pixels = 0;
-  for (const auto& [name, path] : maps) {
-    const LensCamera& camera = model.cameras.at(model.image(name, path.string()).camera_id);
-    pixels += static_cast<double>(camera.size.width) * camera.size.height;
-  }
+  for (const auto& [name, path] : maps)
+    pixels += static_cast<double>(require_file(path, "COLMAP depth map") / sizeof(float));
   const int step = std::max(1, static_cast<int>(std::ceil(std::sqrt(pixels / static_cast<double>(largest_count)))));
 
   PointCloud cloud;

@@ -123,29 +123,38 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
 }
 
 Mask read_mask(const std::filesystem::path& path, const std::string& what) {
-  const RawImage image = read_image(path, what);
+  RawImage image = read_image(path, what);
+  // NaN, with which floating-point rasters mark pixels without data, is no object.
+  for (float& value : image.pixels) value = std::isnan(value) ? 0 : value;
   const auto channels = static_cast<std::size_t>(image.pixels.channels());
   // Photographs have more gray than the soft edges of a drawn mask, and more values than label images. After JPEG
   // compression, black and white change by less than a tenth of the range.
   constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
   constexpr std::size_t few_values = 16;
   const float largest = *std::ranges::max_element(image.pixels);
-  Mask mask(image.pixels.size());
-  std::size_t grey = 0;
-  std::set<float> values;
-  for (std::size_t i = 0; i < mask.count(); ++i) {
-    const float* pixel = image.pixels.data() + i * channels;
-    mask[i] = std::any_of(pixel, pixel + channels, [](float value) { return value != 0; }) ? 255 : 0;
-    if (values.size() <= few_values) values.insert(pixel[0]);
-    grey += pixel[0] > black_below * largest && pixel[0] < white_above * largest;
-  }
   if (!(largest > 0))
     throw input_error(name_of(what, path) + " is black everywhere, expected white where the object is");
-  const double grey_share = static_cast<double>(grey) / static_cast<double>(mask.count());
-  if (grey_share > largest_grey_share && values.size() > few_values) {
+  const std::size_t pixels = image.pixels.size().area();
+  std::size_t grey = 0;
+  std::set<float> values;
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const float value = image.pixels[i * channels];
+    if (values.size() <= few_values) values.insert(value);
+    grey += value > black_below * largest && value < white_above * largest;
+  }
+  const double grey_share = static_cast<double>(grey) / static_cast<double>(pixels);
+  const bool has_soft_edges = values.size() > few_values;
+  if (grey_share > largest_grey_share && has_soft_edges) {
     throw input_error(name_of(what, path) +
                       " looks like a photograph: " + std::to_string(std::lround(100 * grey_share)) +
                       " % of its pixels are neither black nor white, expected black, and white where the object is");
+  }
+  // Around an object JPEG compression leaves pixels that are nearly black; a small number in a label image is a label.
+  const float black = has_soft_edges ? static_cast<float>(black_below) * largest : 0;
+  Mask mask(image.pixels.size());
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const float* pixel = image.pixels.data() + i * channels;
+    mask[i] = std::any_of(pixel, pixel + channels, [black](float value) { return std::abs(value) > black; }) ? 255 : 0;
   }
   return mask;
 }

@@ -132,9 +132,9 @@ std::string number_text(double value) {
   return text.str();
 }
 
-Error malformed_line(const InputFile& file, std::string_view line) {
+Error malformed_line(const InputFile& file, std::string_view line, const std::string& expected = "numbers") {
   return file.error("line " + std::to_string(file.line_number()) + " = \"" + std::string(line.substr(0, 60)) +
-                    "\", expected numbers");
+                    "\", expected " + expected);
 }
 
 // ---- PLY ----
@@ -387,14 +387,27 @@ struct Columns {
   }
 };
 
-/// Columns by the names of a header line, if it names x, y and z.
+bool is_comment(std::string_view line) {
+  const std::size_t first = line.find_first_not_of(" \t");
+  return first == std::string_view::npos || line[first] == '#' || line[first] == '%' || line.substr(first, 2) == "//";
+}
+
+/// Slot of a column's name, which may be in quotes, or slot_count.
+std::size_t slot_of_column(std::string_view name) {
+  if (name.size() > 2 && name.front() == '"' && name.back() == '"') name = name.substr(1, name.size() - 2);
+  return slot_of(std::string(name));
+}
+
+/// Columns by the names of a header line, if it names x, y and z. In a comment one of the known names must come first,
+/// because any text can have x, y and z somewhere.
 std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
+  const bool comment = is_comment(line);
   line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
   split(line, words);
-  if (words.empty() || slot_of(std::string(words[0])) == slot_count) return std::nullopt;
+  if (words.empty() || (comment && slot_of_column(words[0]) == slot_count)) return std::nullopt;
   Columns columns;
   for (std::size_t i = 0; i < words.size(); ++i) {
-    const std::size_t slot = slot_of(std::string(words[i]));
+    const std::size_t slot = slot_of_column(words[i]);
     if (slot != slot_count && !columns.present[slot]) columns.set(slot, i);
   }
   if (!columns.present[slot_x] || !columns.present[slot_y] || !columns.present[slot_z]) return std::nullopt;
@@ -420,9 +433,23 @@ Columns columns_of_values(const std::vector<double>& values) {
   return columns;
 }
 
-bool is_comment(std::string_view line) {
-  const std::size_t first = line.find_first_not_of(" \t");
-  return first == std::string_view::npos || line[first] == '#' || line[first] == '%' || line.substr(first, 2) == "//";
+/// Whether commas in the line are decimal signs, as programs write them in some countries: the other separators alone
+/// divide it into three words or more, and one of these is two numbers with a comma between them.
+bool has_decimal_commas(std::string_view line) {
+  constexpr std::string_view separators = " \t;";
+  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+  if (line.find(',') == std::string_view::npos) return false;
+  std::size_t words = 0;
+  bool decimal = false;
+  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos; ++words) {
+    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
+    const std::string_view word = line.substr(at, end - at);
+    const std::size_t comma = word.find(',');
+    const bool inside = comma != std::string_view::npos && comma > 0 && comma + 1 < word.size();
+    decimal = decimal || (inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]));
+    at = end;
+  }
+  return decimal && words >= 3;
 }
 
 PointCloud read_xyz(InputFile& file, const Context& context) {
@@ -433,6 +460,8 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
   for (std::string_view line; file.read_line(line);) {
     if (file.line_number() % records_between_checks == 0) context.check_cancel();
     const bool first = !builder.has_value();
+    constexpr std::string_view byte_order_mark = "\xef\xbb\xbf";
+    if (file.line_number() == 1 && line.starts_with(byte_order_mark)) line.remove_prefix(byte_order_mark.size());
     if (first && !columns) columns = columns_of_names(line, words);
     if (is_comment(line)) continue;
     split(line, words);
@@ -442,6 +471,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     // A first line of names, or the number of points alone (PTS).
     if (first && file.line_number() == 1 && (!numbers || values.size() == 1)) continue;
     if (!numbers || values.size() < 3) throw malformed_line(file, line);
+    if (has_decimal_commas(line)) throw malformed_line(file, line, "numbers with decimal points, not commas");
     if (!columns) columns = columns_of_values(values);
     if (values.size() < columns->columns) throw malformed_line(file, line);
     if (first) builder.emplace(columns->present, 1.0);

@@ -485,14 +485,16 @@ void read_colmap_camera(const TomlTable& table, StationFile& station) {
   station.camera_files = colmap_model_files(folder);
 }
 
-/// Size of the polarized images; nothing for RAW files, whose size is known only after development.
+/// Size of the polarized images; nothing for RAW files, whose size is known only after development, and for images in
+/// memory, whose size is that of the camera.
 std::optional<Size> size_of_images(const StationFile& station, const std::string& where) {
+  if (station.polarized.images.empty()) return std::nullopt;
   const std::filesystem::path& first = station.polarized.images.front();
   return is_raw_name(first) ? std::nullopt : std::optional(read_image_size(first, where));
 }
 
-/// Size for RAW files that are not developed yet: that of the camera, if it is stated.
-Size size_before_development(const StationFile& station) {
+/// Size of images without a known one of their own: that of the camera, if it is stated.
+Size size_of_camera(const StationFile& station) {
   constexpr Size anything{65536, 65536};
   return station.known_lens() ? station.known_lens()->size : anything;
 }
@@ -807,7 +809,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (given != nullptr) station.polarized.images.clear();
   if (!station.control.empty() && !station.camera && !station.frame_is_of_photos())
     throw document.error("control", "needs [camera] with the lens (model, width, height, params), whose pose it gives");
-  const Size size = images ? *images : size_before_development(station);
+  const Size size = images ? *images : size_of_camera(station);
   require_control_in_image(document, station, size);
   read_regions(document, size, station);
   return station;
@@ -837,7 +839,7 @@ StationFile with_curve_pixels(StationFile station, std::vector<std::array<double
     throw input_error("pixels: " + std::to_string(pixels.size()) + ", expected at most " +
                       std::to_string(most_curve_pixels));
   const std::optional<Size> images = size_of_images(station, "[polarized].images");
-  require_in_image(pixels, images ? *images : size_before_development(station), "pixel");
+  require_in_image(pixels, images ? *images : size_of_camera(station), "pixel");
   station.polarized.curve_pixels = std::move(pixels);
   return station;
 }

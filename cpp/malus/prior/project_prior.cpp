@@ -95,6 +95,7 @@ class ReferencePlane {
       };
       for (std::size_t i = 0; i < count; ++i) residuals[i] = std::abs(residual(i));
       const double spread = robust_spread(residuals);
+      if (!(spread > 0)) break;  // most points lie exactly in the plane, as those of a plane parallel to the sensor
       for (std::size_t i = 0; i < count; ++i) {
         const double r = residual(i) / (2 * spread);
         weights[i] = 1 / (1 + r * r);
@@ -493,7 +494,10 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
   const Surface surface = smooth_cloud(std::move(visible.points), mask, how, options, context);
   const double focal = camera.focal();
-  prior.noise = stated_or_measured(surface.noise * visible.reference_depth / focal, options, context);
+  // Computed points may lie exactly in a plane; weights by a sigma of zero would be infinite.
+  constexpr double least_noise_gsd = 1e-6;
+  const double measured = std::max(surface.noise, least_noise_gsd);
+  prior.noise = stated_or_measured(measured * visible.reference_depth / focal, options, context);
   const double noise = prior.noise * focal / visible.reference_depth;
   const double shared2 = options.correlated_noise * options.correlated_noise;
   parallel_rows(context, camera.size.height, [&](int v) {

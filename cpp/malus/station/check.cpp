@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/capture/response_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
@@ -36,17 +37,21 @@ std::string with_count(double count, const std::string& noun) {
   return text.str();
 }
 
-/// Reads every image; warns of images that are clipped or dark on the object.
-void read_images(const Station& station, const Mask& object, Plan& plan, const Context& context) {
+/// Reads every image; warns of images that are clipped or dark on the object. Throws what the run would throw for an
+/// unusable image, response or level.
+void read_images(const Station& station, const Mask& object, const CaptureOptions& options, Plan& plan,
+                 const Context& context) {
   if (station.in_memory()) return;
   const StationFile& file = station.file;
   const CaptureInput input = capture_input(file.polarized, file.known_lens());
+  const ResponseCurve curve = response_curve(file.polarized.response, "response");
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     context.check_cancel();
     context.progress("check", static_cast<double>(k) / static_cast<double>(input.names.size()), input.names[k]);
-    const RawImage image = input.load(k);
+    RawImage image = input.load(k);
     require_size(image.pixels, plan.size, input.names[k]);
     const double white = file.polarized.white_level.value_or(image.full_scale_dn);
+    const Levels levels = levels_of(image, file.polarized, options.saturation, input.names[k]);
     const int channels = image.pixels.channels();
     double clipped = 0, brightest = 0;
     for (std::size_t i = 0; i < object.count(); ++i) {
@@ -65,6 +70,7 @@ void read_images(const Station& station, const Mask& object, Plan& plan, const C
       plan.warnings.push_back(input.names[k] +
                               ": the object's brightest pixel is below 20 % of the white level; is white_level right?");
     }
+    linearize(std::move(image), curve, levels, channel_weights(file.polarized), input.names[k], context);
   }
 }
 
@@ -176,7 +182,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.size = captured_size(station);
   const Mask object = captured_object(station, plan.size);
   plan.object_pixels = pixels_on(object);
-  read_images(station, object, plan, context);
+  read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
   if (const auto& labels = station.file.optics.label_image; labels) require_labels(read_labels(*labels), plan.size);
   Details details{{"polarization", describe_images(station)}};

@@ -19,13 +19,18 @@ Mask captured_object(const Station& station, Size size) {
 }
 
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image) {
+  constexpr double same_direction = 1e-6;
+  const bool has_distortion = camera.lens.has_distortion();
   std::vector<SeenPoint> found;
   for (const Eigen::Vector3d& point : points) {
     const Eigen::Vector3d x = camera.pose.cam_from_world(point);
     if (!(x.z() > 0)) continue;
-    const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
-    if (pixel.minCoeff() > -0.5 && pixel.x() < image.width - 0.5 && pixel.y() < image.height - 0.5)
-      found.push_back({x, pixel.x(), pixel.y()});
+    const Eigen::Vector2d ideal = x.hnormalized();
+    const Eigen::Vector2d pixel = camera.lens.distort(ideal);
+    if (!(pixel.minCoeff() > -0.5 && pixel.x() < image.width - 0.5 && pixel.y() < image.height - 0.5)) continue;
+    // Far outside of the view the polynomials of a lens bend back: they send the room beside an object into its image.
+    if (has_distortion && !((camera.lens.undistort(pixel) - ideal).norm() < same_direction)) continue;
+    found.push_back({x, pixel.x(), pixel.y()});
   }
   return found;
 }

@@ -24,7 +24,7 @@ struct SeenPoint {
   double u = 0, v = 0;  ///< in the image as captured, inside it
 };
 
-/// Those of the points (world frame) that lie in front of the camera and in its image.
+/// Those of the points (world frame) that lie in front of the camera and that its lens sees in the image.
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image);
 
 }  // namespace malus

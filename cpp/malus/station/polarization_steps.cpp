@@ -300,8 +300,7 @@ std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const Cali
   ReflectionOptions known = job.options.reflection;
   if (file.optics.refractive_index) known.refractive_index = *file.optics.refractive_index;
   known.reflection = file.optics.reflection;
-  Image<std::uint8_t> labels;
-  if (file.optics.label_image) labels = read_labels(*file.optics.label_image);
+  const Image<std::uint8_t> labels = labels_in_view(file, job.context);
   Image<float> normals;
   if (prior != nullptr) normals = normals_from_depth(prior->depth, view.camera, job.context);
   // Without a camera the rays are assumed parallel.

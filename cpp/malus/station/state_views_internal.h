@@ -1,10 +1,12 @@
 #pragma once
 
-// Private to the station room: quantities that several steps derive from the polarization.
+// Private to the station room: quantities that several steps derive from the polarization or the station.
 
+#include "malus/capture/capture_internal.h"
 #include "malus/core/camera.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/polarization/polarization_state.h"
+#include "malus/station/station.h"
 
 namespace malus {
 
@@ -14,6 +16,12 @@ inline LightEstimate light_on_surface(const PolarizationState& state, const Imag
   Mask valid = state.valid;
   for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
   return estimate_light(state.i_un, normals, valid, camera, options, context);
+}
+
+/// The station's label image in the undistorted view, empty without one. Like the mask it is of the images as captured.
+inline Image<std::uint8_t> labels_in_view(const StationFile& station, const Context& context) {
+  if (!station.optics.label_image) return {};
+  return undistorted_mask(read_labels(*station.optics.label_image), station.known_lens(), context);
 }
 
 /// The object in the undistorted view: where the polarization state has pixels at all.

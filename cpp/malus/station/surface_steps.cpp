@@ -206,7 +206,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineInput input;
   input.refractive_index = optics.refractive_index;
   input.reflection = optics.reflection;
-  if (optics.label_image) input.labels = read_labels(*optics.label_image);
+  input.labels = labels_in_view(job.station.file, job.context);
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
 
@@ -269,12 +270,26 @@ TEST(ImageFile, DistinguishesMasksFromPhotographs) {
   EXPECT_EQ(mask_of([](int u, int) { return u > 20 ? 255 : 0; })(30, 10), 255);
   // A mask with a soft edge two pixels wide, and with the noise that JPEG adds to black and white.
   EXPECT_EQ(mask_of([](int u, int v) { return u > 20 ? 240 + v % 15 : u > 18 ? 60 + 4 * v : v % 12; })(30, 10), 255);
+  EXPECT_EQ(mask_of([](int u, int v) { return u > 20 ? 240 + v % 15 : v % 12; })(10, 11), 0)
+      << "what compression adds to black is no object";
   EXPECT_EQ(mask_of([](int, int) { return 1; })(0, 0), 255);
+  EXPECT_EQ(mask_of([](int u, int) { return u > 20 ? 12 : u > 10 ? 1 : 0; })(15, 10), 255) << "a small label";
   expect_error(
       ErrorCode::input, [&] { mask_of([](int, int) { return 0; }); }, "mask.png", "black everywhere");
   expect_error(
       ErrorCode::input, [&] { mask_of([](int u, int v) { return (7 * u + 5 * v) % 256; }); }, "mask.png",
       "looks like a photograph");
+}
+
+TEST(ImageFile, PixelsWithoutDataAreOutsideOfAMask) {
+  const TemporaryFolder folder;
+  Image<float> raster({3, 1}, 1, 1.0F);
+  raster(0, 0) = raster(2, 0) = std::numeric_limits<float>::quiet_NaN();
+  write_float_tiff(folder / "mask.tif", raster);
+  const Mask mask = read_mask(folder / "mask.tif");
+  EXPECT_EQ(mask(0, 0), 0);
+  EXPECT_EQ(mask(1, 0), 255);
+  EXPECT_EQ(mask(2, 0), 0);
 }
 
 TEST(ImageFile, RejectsWhatIsNotAnImage) {

@@ -149,6 +149,11 @@ TEST(PointCloudFile, ReadsXyzText) {
   EXPECT_EQ(named.normals[0], Eigen::Vector3f(0, 1, 0));
   EXPECT_EQ(cloud("z y x\n1 2 3\n").points[0], Eigen::Vector3d(3, 2, 1));
   EXPECT_EQ(cloud("easting northing height\n1 2 3\n").points[0], Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(cloud("ID,X,Y,Z\n7,1.5,2.5,3.5\n").points[0], Eigen::Vector3d(1.5, 2.5, 3.5));
+  EXPECT_EQ(cloud("# seen from x y z\n1 2 3 4 5 6\n").points[0], Eigen::Vector3d(1, 2, 3)) << "text, no names";
+  EXPECT_EQ(cloud("\"z\",\"y\",\"x\"\n1,2,3\n").points[0], Eigen::Vector3d(3, 2, 1));
+  EXPECT_EQ(cloud("\xef\xbb\xbfz;y;x\n1;2;3\n").points[0], Eigen::Vector3d(3, 2, 1)) << "with a byte order mark";
+  EXPECT_EQ(cloud("1,2,3 10,20,30\n").colors[0], (Rgb{10, 20, 30}));
   const auto rejects = [&](const std::string& text, const auto&... parts) {
     expect_error(
         ErrorCode::input, [&] { cloud(text); }, "a.xyz", parts...);
@@ -156,6 +161,9 @@ TEST(PointCloudFile, ReadsXyzText) {
   rejects("1 2 3\n4 5\n", "line 2", "4 5");
   rejects("1 2 3\nx y z\n", "line 2");
   rejects("1 2 3 255 0 10\n1 2 3\n", "line 2");
+  rejects("x;y;z\n1,5;2,25;3,75\n", "line 2", "1,5;2,25;3,75", "decimal points");
+  rejects("1,5\t2,25\t-3,75\n", "line 1", "decimal points");
+  rejects("1;2;3\n1,5;2;3\n", "line 2", "decimal points");
   rejects("# nothing\n", "no points");
   rejects(std::string("\x7f"
                       "ELF\0\1\2",

@@ -484,6 +484,23 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
 }
 
+TEST(PriorOfCloud, MayLieExactlyInAPlaneParallelToTheSensor) {
+  PointCloud cloud;
+  for (int v = 1; v < 90; v += 3)
+    for (int u = 1; u < 120; u += 3) cloud.points.push_back(50 * test_camera().ray(u, v));
+  const DepthPrior prior = project_prior(cloud, test_camera(), Pose{}, full_mask(), {}, {});
+  EXPECT_NEAR(prior.depth(60, 45), 50, 1e-5);
+  EXPECT_GT(prior.sigma(60, 45), 0);
+}
+
+TEST(PriorOfDepthMap, FillsHolesOfAPlaneParallelToTheSensor) {
+  Image<float> depth(test_camera().size, 1, 50.0F);
+  depth(50, 40) = depth(51, 40) = std::numeric_limits<float>::quiet_NaN();
+  const DepthPrior prior = project(depth);
+  EXPECT_EQ(prior.depth(50, 40), 50.0F);
+  EXPECT_GT(prior.sigma(50, 40), 0);
+}
+
 TEST(PriorOfDepthMap, SmoothsDepthsThatWereMeasuredOverWindows) {
   // Noise that is correlated over windows of 5 px, and gaps.
   const Size size = test_camera().size;

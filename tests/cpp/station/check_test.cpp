@@ -44,6 +44,19 @@ TEST(CheckPicture, ShowsThePriorScaledToKnownDistances) {
   }
 }
 
+TEST(CheckPicture, LeavesOutPointsThatTheLensDoesNotSee) {
+  Station station = scaled_station();
+  station.file.prior_scale = 1;
+  station.file.camera->lens = {LensModel::opencv, {40, 30}, {30, 30, 19.5, 14.5, -0.25, 0, 0, 0}};
+  // The polynomial sends a direction of twice the focal length to the principal point.
+  PointCloud cloud;
+  cloud.points = {{0, 0, 100}, {20, 10, 100}, {200, 0, 100}};
+  station.prior = cloud;
+  const std::vector<Eigen::Vector3f> points = check_picture(station, {}).points;
+  ASSERT_EQ(points.size(), 2U);
+  EXPECT_NEAR(points[1].x(), 25.425, 1e-3);
+}
+
 TEST(CheckStation, MeasuresThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
