@@ -2,9 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
-#include "io/temporary_folder.h"
 #include "thrown_error.h"
 
 namespace malus {
