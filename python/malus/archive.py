@@ -23,6 +23,7 @@ from malus import _core, exif
 from malus._extra import extra
 from malus._files import replacing, scratch_folder
 from malus.errors import InputError
+from malus.photogrammetry.photos import photos_of
 from malus.raw import is_raw, name_of
 from malus.scans import is_scan, read_scan
 from malus.station import Station
@@ -106,6 +107,10 @@ def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
         for name, sha256 in figures["files"].items():
             path = Path(says["photos"]["folder"]) / name
             files[os.path.relpath(path, file.parent)] = _as_read(path, sha256)
+        masks = (workspace.quality.get("sweep") or {}).get("mask_files", {})
+        for photo in photos_of(says["photos"]) if masks else []:
+            if photo.mask is not None and photo.name in masks:
+                files[os.path.relpath(photo.mask, file.parent)] = _as_read(photo.mask, masks[photo.name])
     return files
 
 

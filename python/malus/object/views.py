@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,8 +149,14 @@ def sees(view: View, points: Floats, normals: Floats) -> Bools:
 
 def stored(view: View, folder: Path) -> View:
     """The view with its maps in files of a new folder."""
-    names = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
-    return replace(view, **{name: on_disk(getattr(view, name), folder / name) for name in names})
+
+    def kept(name: str) -> NDArray[Any]:
+        return on_disk(getattr(view, name), folder / name)
+
+    return replace(
+        view, depth=kept("depth"), normals=kept("normals"), sigma=kept("sigma"), cosine=kept("cosine"),
+        usable=kept("usable"), object=kept("object"), color=kept("color"),
+    )  # fmt: skip
 
 
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:

@@ -304,6 +304,8 @@ class Hull:
     depth: NDArray[np.float32]
     sigma: NDArray[np.float32]
     """One standard deviation of depth."""
+    figures: dict[str, Any]
+    """`masks`: how many; `mask_files`: their SHA-256, by the photos' names."""
 
 
 @dataclass(frozen=True)
@@ -373,11 +375,15 @@ class _Sweep:
         masked = [(photo, photo.mask, camera) for photo, camera in self.cameras.photos if photo.mask is not None]
         if not masked:
             return None
-        hashes = self.journal.watch({f"mask of {photo.name}": mask for photo, mask, _ in masked})
+
+        def name_of(photo: Photo) -> str:
+            return f"mask of {photo.name}"
+
+        hashes = self.journal.watch({name_of(photo): mask for photo, mask, _ in masked})
         silhouettes = [(str(mask), camera.values()) for _, mask, camera in masked]
         inputs = {
             "view": repr(self.view.values()),
-            "masks": [hashes[f"mask of {photo.name}"] for photo, _, _ in masked],
+            "masks": [[photo.name, hashes[name_of(photo)]] for photo, _, _ in masked],
             "cameras": repr([camera for _, camera in silhouettes]),
             "object": hashlib.sha256(self.mask.tobytes()).hexdigest(),
         }
@@ -388,10 +394,13 @@ class _Sweep:
                 lambda _, fraction, __: self.progress(fraction, "visual hull"),
             )  # fmt: skip
             self._write(_HULL, rasters)
-            return {"masks": len(silhouettes)}
+            return {
+                "masks": len(silhouettes),
+                "mask_files": {photo.name: hashes[name_of(photo)] for photo, _, _ in masked},
+            }
 
-        self.journal.stage("hull", inputs, _HULL, found)
-        return Hull(*self._read(_HULL))
+        figures = self.journal.stage("hull", inputs, _HULL, found)
+        return Hull(*self._read(_HULL), figures)
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):
@@ -443,6 +452,7 @@ class _Sweep:
         )
         depth, sigma, _ = self._read(_FIRST)
         if hull is not None:
+            figures = {**figures, **hull.figures}
             mirrored = depth < hull.depth - HULL_SIGMAS * np.hypot(sigma, hull.sigma)
             depth, sigma = (np.where(mirrored, np.float32(np.nan), values) for values in (depth, sigma))
         return Swept(depth, sigma, None, figures, _times(self.journal), hull)

@@ -29,7 +29,7 @@ Pose looking_at_origin(const Eigen::Vector3d& direction) {
 }
 
 Pinhole station() {
-  return {focal, focal, 0.5 * size.width, 0.5 * size.height, size};
+  return {size, focal, focal, 0.5 * size.width, 0.5 * size.height};
 }
 
 /// Depth of the ball's front on a pixel's ray; NaN beside the ball.
@@ -60,11 +60,11 @@ std::vector<Silhouette> rings(int count) {
   return all;
 }
 
-struct Errors {
+struct HullErrors {
   double median = 0, within_two_sigma = 0, found = 0;
 };
 
-Errors errors_with(const std::vector<Silhouette>& photos) {
+HullErrors errors_with(const std::vector<Silhouette>& photos) {
   const Silhouette view = of_ball({0.4, 1, 0.3});
   Context context;
   context.threads = 2;
@@ -89,7 +89,7 @@ Errors errors_with(const std::vector<Silhouette>& photos) {
 }
 
 TEST(VisualHull, FollowsABallTheBetterTheMorePhotosThereAre) {
-  const Errors few = errors_with(rings(8)), many = errors_with(rings(16));
+  const HullErrors few = errors_with(rings(8)), many = errors_with(rings(16));
   EXPECT_GT(few.found, 0.97);
   EXPECT_GT(many.found, 0.97);
   EXPECT_GT(few.within_two_sigma, 0.9);
@@ -100,7 +100,7 @@ TEST(VisualHull, FollowsABallTheBetterTheMorePhotosThereAre) {
 
 TEST(VisualHull, APhotoThatDoesNotShowTheObjectSaysNothing) {
   std::vector<Silhouette> photos = rings(8);
-  const Errors before = errors_with(photos);
+  const HullErrors before = errors_with(photos);
   Silhouette beside = photos[0];
   beside.pose.translation.x() += 80;  // the ball is out of the image
   beside.mask = Mask(size, 1, 0);
