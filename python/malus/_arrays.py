@@ -56,7 +56,8 @@ def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> lis
 
 def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[np.float32]]:
     """As `as_intensities`, but all images are float32 in [0, 1] of the white level."""
-    return [image if image.dtype == np.float32 else image / np.float32(65535) for image in as_intensities(values, name)]
+    images = as_intensities(values, name)
+    return [np.asarray(image if image.dtype == np.float32 else image / 65535, np.float32) for image in images]
 
 
 def as_angles(values: Sequence[float], name: str) -> list[float]:

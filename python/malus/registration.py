@@ -155,7 +155,7 @@ def _some(points: Points, most: int) -> Points:
     """
     run = max(1, len(points) // most)
     start = np.arange(0, len(points) - run + 1, run)
-    return points[start + (run * (np.arange(len(start)) * _GOLDEN % 1)).astype(int)]
+    return np.asarray(points[start + (run * (np.arange(len(start)) * _GOLDEN % 1)).astype(int)])
 
 
 def _plane_frame(points: Points, towards_camera: Points) -> tuple[Points, Points]:

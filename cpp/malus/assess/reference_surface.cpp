@@ -151,7 +151,11 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   for (const auto& [distance, i] : nearest) centre += points[i] / static_cast<double>(nearest.size());
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
   for (const auto& [distance, i] : nearest) scatter += (points[i] - centre) * (points[i] - centre).transpose();
-  Eigen::Vector3d normal = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvectors().col(0);
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);
+  // Far beyond a border the nearest points follow the border, and a line has no normal.
+  constexpr double of_line = 0.05;
+  const bool on_line = nearest.size() > 2 && axes.eigenvalues()[1] < of_line * axes.eigenvalues()[2];
+  Eigen::Vector3d normal = axes.eigenvectors().col(0);
   const std::vector<Eigen::Vector3f>& normals = geometry_.vertices.normals;
   Eigen::Vector3d outward = viewpoint_ - centre;
   // A point without a normal in a cloud that has them has the normal 0.
@@ -163,7 +167,7 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   double farthest = 0;  // along the plane
   for (const auto& [squared, i] : nearest)
     farthest = std::max(farthest, (points[i] - centre - normal.dot(points[i] - centre) * normal).norm());
-  return Foot{foot, normal, distance, (foot - centre).norm() > farthest};
+  return Foot{foot, normal, distance, on_line || (foot - centre).norm() > farthest};
 }
 
 }  // namespace malus

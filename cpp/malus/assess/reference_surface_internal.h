@@ -34,7 +34,7 @@ class ReferenceSurface {
   /// 2005), so that edges and corners are right too. Cloud: signed distance to the total least squares plane through
   /// the `neighbors` nearest points; max_distance is to the nearest of them. A point lies beside a mesh if it is seen
   /// from the nearest place more than 60° off the normal there, and beside a cloud if its foot lies farther from the
-  /// middle of these points than all of them.
+  /// middle of these points than all of them, or if these points lie along a line.
   std::optional<Foot> foot(const Eigen::Vector3d& point, double max_distance) const;
 
  private:

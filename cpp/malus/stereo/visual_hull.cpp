@@ -27,17 +27,28 @@ constexpr double smoothing_px = 4;
 /// errors are below two of it.
 constexpr double hollow_radii = 0.04;
 
+bool touches_border(const Mask& mask) {
+  const int right = mask.width() - 1, bottom = mask.height() - 1;
+  for (int u = 0; u <= right; ++u)
+    if (mask(u, 0) != 0 || mask(u, bottom) != 0) return true;
+  for (int v = 0; v <= bottom; ++v)
+    if (mask(0, v) != 0 || mask(right, v) != 0) return true;
+  return false;
+}
+
 /// A silhouette as seen from the station's rays.
 class Outline {
  public:
   Outline(const Silhouette& silhouette, const Pinhole& station, const Pose& station_pose)
-      : mask_(silhouette.mask), projection_(station, station_pose, silhouette.camera, silhouette.pose) {}
+      : mask_(silhouette.mask),
+        shows_all_(!touches_border(silhouette.mask)),
+        projection_(station, station_pose, silhouette.camera, silhouette.pose) {}
 
-  /// Whether the photo contains the place and shows something else there.
+  /// Whether the photo shows something else at the place, or all of the object elsewhere.
   bool excludes(double u, double v, double z) const {
     const Eigen::Vector2d at = projection_.project(u, v, z);
     const double x = at.x(), y = at.y();
-    if (!(x >= 0 && y >= 0 && x <= mask_.width() - 1 && y <= mask_.height() - 1)) return false;
+    if (!(x >= 0 && y >= 0 && x <= mask_.width() - 1 && y <= mask_.height() - 1)) return shows_all_;
     const int left = std::min(static_cast<int>(x), mask_.width() - 2);
     const int top = std::min(static_cast<int>(y), mask_.height() - 2);
     const double a = x - left, b = y - top;
@@ -47,6 +58,7 @@ class Outline {
 
  private:
   const Mask& mask_;
+  bool shows_all_;  ///< the border does not cut the object off
   ViewProjection projection_;
 };
 

@@ -400,7 +400,8 @@ class _Sweep:
             }
 
         figures = self.journal.stage("hull", inputs, _HULL, found)
-        return Hull(*self._read(_HULL), figures)
+        depth, sigma = self._read(_HULL)
+        return Hull(depth, sigma, figures)
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):
