@@ -6,7 +6,7 @@
 
 namespace malus {
 
-/// Pose of a camera at `centre` that looks at `target`, with the world's y axis pointing down in the image.
+/// Pose of a camera at this center that looks at `target`, with the world's y axis pointing down in the image.
 inline Pose looking_pose(const Eigen::Vector3d& centre, const Eigen::Vector3d& target) {
   const Eigen::Vector3d forward = (target - centre).normalized();
   const Eigen::Vector3d right = Eigen::Vector3d::UnitY().cross(forward).normalized();

@@ -95,7 +95,7 @@ class TileProblem {
   }
 
  private:
-  /// Ends after `steps` accepted steps, or when the run is cancelled.
+  /// Ends after `steps` accepted steps, or when the run is canceled.
   class StopAfter final : public ceres::IterationCallback {
    public:
     StopAfter(int steps, const Context& context) : steps_(steps), context_(context) {}
