@@ -56,17 +56,17 @@ def _entries_of(path: Path) -> tuple[dict[str | tuple[int, int], Any], str]:
 
     Not with Image.open, which refuses large images although only the header is read.
     """
-    with path.open("rb") as file:
-        start = file.read(2)
-        file.seek(0)
-        plugin = {b"\xff\xd8": JpegImageFile, b"\x89P": PngImageFile}.get(start)
-        if plugin is None:
-            return {}, "TIFF"
-        try:
-            with plugin(file) as image:
-                return dict(image.info), str(image.format)
-        except (OSError, ValueError, SyntaxError):
-            return {}, "TIFF"
+    try:
+        with path.open("rb") as file:
+            start = file.read(2)
+            file.seek(0)
+            plugin = {b"\xff\xd8": JpegImageFile, b"\x89P": PngImageFile}.get(start)
+            if plugin is not None:
+                with plugin(file) as image:
+                    return dict(image.info), str(image.format)
+    except (OSError, ValueError, SyntaxError):
+        pass  # what cannot be read is reported where it is needed
+    return {}, "TIFF"
 
 
 def _of_profile(profile: bytes) -> Encoding | None:

@@ -141,7 +141,7 @@ def test_profile_numbers_are_right_aligned_and_empty_columns_left_out(work: Path
 def test_solver_terms_appear_only_among_the_parameters(work: Path) -> None:
     told, provenance = (work / "report/index.html").read_text().split('<section id="provenance"')
     assert "converged" in provenance and "converged" not in told
-    assert "The light stands" in told
+    assert "The direction to the light is" in told
 
 
 def test_page_is_self_contained_and_described(work: Path, page: Page) -> None:

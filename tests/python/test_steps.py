@@ -112,7 +112,7 @@ def test_polarization_on_arrays(dome: Dome) -> None:
     np.testing.assert_allclose(found["gains"], 1, atol=5e-3)
     counts = [np.rint(65535 * image).astype(np.uint16) for image in dome.images]
     residual = malus.polarization.calibrate(dome.images, wrong)["residual_before"]
-    assert malus.polarization.calibrate(counts, wrong)["residual_before"] == pytest.approx(residual, rel=0.01)
+    assert malus.polarization.calibrate(counts, wrong)["residual_before"] == pytest.approx(residual, rel=0.1)
 
     zenith = np.linspace(0.05, 0.9, 20)
     degree = malus.polarization.specular_degree(zenith)

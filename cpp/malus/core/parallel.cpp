@@ -55,14 +55,15 @@ void run_by_tbb(int threads, int calls, const Work& work) {
     return;
   }
   // The arena sets the number of threads of a loop, even if there are fewer processors.
-  constexpr std::size_t most_threads = 256;
+  constexpr int most_threads = 256;
   // Never deleted. Volatile, or compilers drop the pointer and LeakSanitizer reports the object as leaked.
   static const tbb::global_control* const volatile limit =
       new tbb::global_control(tbb::global_control::max_allowed_parallelism, most_threads);
   static_cast<void>(limit);
   // Kept per calling thread: its loops mostly use the same number of threads, so the arena's threads are reused.
   thread_local std::unique_ptr<tbb::task_arena, Release> arena;
-  if (!arena || arena->max_concurrency() != threads) arena.reset(new tbb::task_arena(threads));
+  const int slots = std::min(threads, most_threads);
+  if (!arena || arena->max_concurrency() != slots) arena.reset(new tbb::task_arena(slots));
   arena->execute(call);
 }
 
