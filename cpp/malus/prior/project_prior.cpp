@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/bounding_box_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
@@ -108,17 +109,6 @@ class ReferencePlane {
  private:
   Eigen::Vector3d plane_;
 };
-
-PixelRect bounding_box(const Mask& mask) {
-  PixelRect box{mask.width(), mask.height(), 0, 0};
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      box = {std::min(box.u0, u), std::min(box.v0, v), std::max(box.u1, u + 1), std::max(box.v1, v + 1)};
-    }
-  }
-  return box;
-}
 
 bool has_object(const Mask& mask, PixelRect box) {
   for (int v = box.v0; v < box.v1; ++v) {

@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "malus/core/bounding_box_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -27,13 +28,10 @@ constexpr double smoothing_px = 4;
 /// errors are below two of it.
 constexpr double hollow_radii = 0.04;
 
-bool touches_border(const Mask& mask) {
-  const int right = mask.width() - 1, bottom = mask.height() - 1;
-  for (int u = 0; u <= right; ++u)
-    if (mask(u, 0) != 0 || mask(u, bottom) != 0) return true;
-  for (int v = 0; v <= bottom; ++v)
-    if (mask(0, v) != 0 || mask(right, v) != 0) return true;
-  return false;
+/// Whether the border of the image does not cut the silhouette off.
+bool shows_all(const Mask& mask) {
+  const PixelRect box = bounding_box(mask);
+  return box.u0 > 0 && box.v0 > 0 && box.u1 < mask.width() && box.v1 < mask.height();
 }
 
 /// A silhouette as seen from the station's rays.
@@ -41,7 +39,7 @@ class Outline {
  public:
   Outline(const Silhouette& silhouette, const Pinhole& station, const Pose& station_pose)
       : mask_(silhouette.mask),
-        shows_all_(!touches_border(silhouette.mask)),
+        shows_all_(shows_all(silhouette.mask)),
         projection_(station, station_pose, silhouette.camera, silhouette.pose) {}
 
   /// Whether the photo shows something else at the place, or all of the object elsewhere.
@@ -58,7 +56,7 @@ class Outline {
 
  private:
   const Mask& mask_;
-  bool shows_all_;  ///< the border does not cut the object off
+  bool shows_all_;
   ViewProjection projection_;
 };
 
@@ -69,32 +67,19 @@ struct Ball {
   double radius = 0;
 };
 
-/// Middle of a silhouette [px] and its largest distance from it.
-std::pair<Eigen::Vector2d, double> extent_of(const Mask& mask) {
-  Eigen::Vector2d low(mask.width(), mask.height()), high(-1, -1);
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      low = low.cwiseMin(Eigen::Vector2d(u, v));
-      high = high.cwiseMax(Eigen::Vector2d(u, v));
-    }
-  }
-  return {0.5 * (low + high), 0.5 * (high - low).norm()};
-}
-
 Ball ball_about(const std::vector<Silhouette>& silhouettes) {
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   std::vector<double> radii;
   for (const Silhouette& one : silhouettes) {
-    const auto [middle, radius_px] = extent_of(one.mask);
-    const Eigen::Vector2d ideal = one.camera.undistort(middle);
+    const PixelRect box = bounding_box(one.mask);
+    const Eigen::Vector2d ideal = one.camera.undistort({0.5 * (box.u0 + box.u1 - 1), 0.5 * (box.v0 + box.v1 - 1)});
     const Eigen::Matrix3d world_from_cam = one.pose.rotation.transpose();
     const Eigen::Vector3d ray = (world_from_cam * ideal.homogeneous()).normalized();
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();
     normal += across;
     right += across * one.pose.centre();
-    radii.push_back(radius_px / one.camera.pinhole().focal());
+    radii.push_back(0.5 * std::hypot(box.width() - 1, box.height() - 1) / one.camera.pinhole().focal());
   }
   Ball ball{normal.ldlt().solve(right), 0};
   for (std::size_t k = 0; k < silhouettes.size(); ++k) {
