@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -70,7 +71,7 @@ MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene, const
     (is_object ? object : beside) += 1;
     (is_object ? covered.object : covered.beside) += is_seen ? 1 : 0;
   }
-  covered.object /= std::max(object, 1.0);
+  covered.object = object > 0 ? covered.object / object : std::numeric_limits<double>::quiet_NaN();
   covered.beside /= std::max(beside, 1.0);
   covered.black = beside / std::max(object + beside, 1.0);
   covered.border = border_share(scene.object);

@@ -239,7 +239,13 @@ AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Vi
   };
   const AlignmentPlace place = find_place(problem_at, size, false, context);
   take(place, found);
-  if (!place.usable) return place;
+  if (!place.usable) {
+    say(found, Severity::note,
+        "whether the prior lies where the images show the object could not be checked: prior and object are too small "
+        "in the image",
+        "");
+    return place;
+  }
   const std::vector<ImageTurn> turns = image_turns(size);
   const ImageTurn* const turn = best_idea(turns, place, [&](const ImageTurn& idea) {
     const auto turned_problem_at = [&](int factor) {
@@ -377,6 +383,17 @@ void judge_coverage(const MaskCoverage& covered, const std::string& what, PriorA
   }
 }
 
+/// Share of the object's pixels that have a depth.
+double share_with_depth(const Image<float>& depth, const Mask& object) {
+  double pixels = 0, known = 0;
+  for (std::size_t i = 0; i < object.count(); ++i) {
+    if (object[i] == 0) continue;
+    ++pixels;
+    known += std::isfinite(depth[i]) && depth[i] > 0;
+  }
+  return known / std::max(pixels, 1.0);
+}
+
 }  // namespace
 
 std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
@@ -398,8 +415,8 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(cloud, reduced_camera(scene.camera, factor), given); });
   const int factor = coarse_factor(scene.state.size());
-  const MaskCoverage covered =
-      mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  if (std::isnan(covered.object)) covered.object = coverage.covered;
   found.object_covered = covered.object;
   found.outline_step_gsd = covered.outline_step * factor;
   found.gsd = priors.at(factor).median_depth / scene.camera.focal();
@@ -432,8 +449,8 @@ PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& 
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });
   const int factor = coarse_factor(scene.state.size());
-  const MaskCoverage covered =
-      mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  if (std::isnan(covered.object)) covered.object = share_with_depth(depth, scene.object);
   found.object_covered = covered.object;
   found.outline_step_gsd = covered.outline_step * factor;
   found.gsd = priors.at(factor).median_depth / scene.camera.focal();

@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
+#include <functional>
 #include <limits>
 #include <random>
 
@@ -217,6 +219,44 @@ TEST(PriorAlignment, ASparseCloudIsNoMistakeUnlessItLiesElsewhere) {
   EXPECT_EQ(check(scene, scene.moved(motion(170, 0))).finding.severity, Severity::error);
   for (Eigen::Vector3d& point : scene.cloud.points) point *= 1e-3;
   EXPECT_NE(check(scene, scene.cloud).finding.severity, Severity::note);
+}
+
+/// The scene with a smaller object, the pixels that `keeps` names. Its cloud and its depth map have nothing else.
+EvidenceScene reduced_to(const std::function<bool(long u, long v)>& keeps) {
+  const EvidenceScene whole;
+  EvidenceScene scene = whole;
+  scene.cloud = PointCloud();
+  for (int v = 0; v < scene.object.height(); ++v) {
+    for (int u = 0; u < scene.object.width(); ++u) {
+      if (keeps(u, v)) continue;
+      scene.object(u, v) = 0;
+      scene.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+      scene.depth(u, v) = std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  for (std::size_t i = 0; i < whole.cloud.points.size(); ++i) {
+    const Eigen::Vector2d pixel = whole.camera.project(whole.pose.cam_from_world(whole.cloud.points[i]));
+    if (!keeps(std::lround(pixel.x()), std::lround(pixel.y()))) continue;
+    scene.cloud.points.push_back(whole.cloud.points[i]);
+    scene.cloud.normals.push_back(whole.cloud.normals[i]);
+    scene.cloud.colors.push_back(whole.cloud.colors[i]);
+  }
+  return scene;
+}
+
+TEST(PriorAlignment, SaysThatAnObjectIsTooSmallOrThinToBeCompared) {
+  const EvidenceScene coin = reduced_to([](long u, long v) { return std::hypot(u - 150, v - 110) < 12; });
+  // Narrower than half a pixel of the reduced view, which therefore shows no object.
+  const EvidenceScene pin = reduced_to([](long u, long v) { return u == 151 && std::abs(v - 110) < 50; });
+  for (const EvidenceScene* scene : {&coin, &pin}) {
+    for (const PriorAlignment& found :
+         {check(*scene, scene->cloud), check_alignment(scene->depth, scene->images(), {})}) {
+      EXPECT_EQ(found.finding.check, "prior");
+      EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+      EXPECT_NE(found.finding.message.find("too small in the image"), std::string::npos) << found.finding.text();
+      EXPECT_GT(found.object_covered, 0.9);
+    }
+  }
 }
 
 TEST(PriorAlignment, FindsInvertedMasks) {
