@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
@@ -16,10 +17,21 @@ inline bool is_chosen(std::size_t pixel, double share) {
   return static_cast<double>(hash >> 11) * 0x1.0p-53 < share;
 }
 
+inline std::ptrdiff_t count_of_set(const Mask& pixels) {
+  return std::count_if(pixels.begin(), pixels.end(), [](std::uint8_t pixel) { return pixel != 0; });
+}
+
 /// Share that chooses about `wanted` of the set pixels, however large the image around them is (1 or more: all).
 inline double share_of_set(const Mask& pixels, double wanted) {
-  const auto set = std::count_if(pixels.begin(), pixels.end(), [](std::uint8_t pixel) { return pixel != 0; });
-  return wanted / static_cast<double>(std::max<std::ptrdiff_t>(set, 1));
+  return wanted / static_cast<double>(std::max<std::ptrdiff_t>(count_of_set(pixels), 1));
+}
+
+/// Distance between sampled rows and columns: `of_image`, or less if that would leave fewer than `fewest` samples on a
+/// small object. An empty mask is the whole image.
+inline int stride_on(const Mask& object, int of_image, double fewest) {
+  if (object.empty()) return of_image;
+  const double set = static_cast<double>(count_of_set(object));
+  return std::clamp(static_cast<int>(std::sqrt(set / fewest)), 1, of_image);
 }
 
 }  // namespace malus

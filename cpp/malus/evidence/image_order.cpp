@@ -123,7 +123,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   if (images.size() < 4 || samples.values.size() < min_samples) {
     finding.message =
         "whether the images are in the order of their angles could not be checked: expected four images "
-        "or more that are neither dark nor saturated";
+        "or more, and an object of some hundred pixels that are neither dark nor saturated";
     return result;
   }
   const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(angles_rad);

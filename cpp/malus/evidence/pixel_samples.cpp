@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 
@@ -11,6 +12,8 @@ namespace {
 constexpr double most_samples = 200000;
 /// With many images there are fewer samples, so that they take no more memory than this many values.
 constexpr double most_values = 2e7;
+/// Of a small object in a large image, at least this share of the wanted samples is taken, or all of its pixels.
+constexpr double least_on_object = 0.02;
 constexpr float darkest = 0.02F, brightest = 0.9F;
 
 /// Adds a pixel's values to the window's. Returns false if the pixel is off the mask, dark or nearly saturated.
@@ -42,7 +45,8 @@ PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& 
   PixelSamples samples;
   const Size size = images.front().size();
   const double wanted = std::min(most_samples, most_values / static_cast<double>(images.size()));
-  const int stride = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / wanted)) + 1;
+  const int of_image = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / wanted)) + 1;
+  const int stride = stride_on(mask, of_image, least_on_object * wanted);
   const int side = 2 * reach_px + 1;
   for (int v = reach_px; v < size.height - reach_px; v += stride) {
     for (int u = reach_px; u < size.width - reach_px; u += stride) {

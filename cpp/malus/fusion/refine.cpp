@@ -399,7 +399,7 @@ class Refiner {
     report_.metal = looks_like_metal(image_);
     report_.label = report_.confidence = Image<std::uint8_t>(size);
     report_.mirrored = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
-    ResidualSummary summary(image_.size());
+    ResidualSummary summary(image_.usable);
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
       const Size part = strip.field.size();
@@ -660,7 +660,7 @@ class Refiner {
     if (fit) lobe_gain_ = fit_reflection(image_, options_, is_mirror_known_, report_, map_, context_);
     const WeightOptions weights = this->weights(widening, regional);
     const int margin = whole_blocks(options_.margin_px) + whole_blocks(tile_ring_px + weights_reach_px);
-    ResidualSummary summary(image_.size());
+    ResidualSummary summary(image_.usable);
     StripField strip;
     for (const TileStrip& tiles : strips_) {
       strip = {};  // frees the memory first

@@ -141,9 +141,10 @@ PixelResiduals update_weights(RefinementField& field, const WeightOptions& optio
   return residuals;
 }
 
-ResidualSummary::ResidualSummary(Size image) : image_(image) {
-  constexpr double enough = 4e6;
-  share_ = enough / static_cast<double>(image.area());
+ResidualSummary::ResidualSummary(const Mask& usable) : image_(usable.size()) {
+  // A small object in a large image would have few of the image's samples, or none.
+  constexpr double enough = 4e6, enough_of_small = 1e5;
+  share_ = std::max(enough / static_cast<double>(image_.area()), share_of_set(usable, enough_of_small));
 }
 
 void ResidualSummary::add(const PixelResiduals& part, RowRange rows, int first_row) {

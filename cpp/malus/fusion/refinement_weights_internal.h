@@ -41,7 +41,8 @@ PixelResiduals update_weights(RefinementField& field, const WeightOptions& optio
 /// Summary of an image's residuals, collected part by part.
 class ResidualSummary {
  public:
-  explicit ResidualSummary(Size image);
+  /// `usable` are the image's pixels with residuals.
+  explicit ResidualSummary(const Mask& usable);
   /// Adds some rows of a part; `first_row` is the part's first row in the image.
   void add(const PixelResiduals& part, RowRange rows, int first_row);
   FitQuality quality();

@@ -11,11 +11,15 @@ namespace {
 /// Index of a pixel at each of a few ranks of the degree.
 std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
   constexpr double ranks[] = {0.1, 0.5, 0.9, 0.99};
-  constexpr std::size_t most_candidates = 100'000;
+  constexpr std::size_t most_candidates = 100'000, fewest_candidates = 2'000;
+  const auto is_valid = [](std::uint8_t pixel) { return pixel == static_cast<std::uint8_t>(PixelState::valid); };
   std::vector<std::size_t> valid;
-  const std::size_t stride = state.valid.count() / most_candidates + 1;
+  // Of a small object in a large image, the image's stride would meet few pixels or none.
+  const auto all = static_cast<std::size_t>(std::count_if(state.valid.begin(), state.valid.end(), is_valid));
+  const std::size_t of_image = state.valid.count() / most_candidates + 1;
+  const std::size_t stride = std::clamp<std::size_t>(all / fewest_candidates, 1, of_image);
   for (std::size_t i = 0; i < state.valid.count(); i += stride)
-    if (state.valid[i] == static_cast<std::uint8_t>(PixelState::valid)) valid.push_back(i);
+    if (is_valid(state.valid[i])) valid.push_back(i);
   std::sort(valid.begin(), valid.end(), [&](std::size_t a, std::size_t b) { return state.rho[a] < state.rho[b]; });
   std::vector<std::size_t> chosen;
   if (valid.empty()) return chosen;

@@ -84,6 +84,24 @@ TEST(ImageOrder, FindsTwoExchangedImagesAmongMany) {
   EXPECT_EQ(check_image_order(images_at(angles), shuffled, {}, {}).angles_rad, angles);
 }
 
+TEST(ImageOrder, IsCheckedOnASmallObjectInALargeImage) {
+  const std::vector<double> angles = every(30, 6);
+  const Size size{500, 400};
+  std::vector<Image<float>> images;
+  for (const Image<float>& part : images_at(angles)) {
+    images.emplace_back(size, 1, 0.3F);
+    for (int v = 0; v < part.height(); ++v)
+      for (int u = 0; u < part.width(); ++u) images.back()(u + 200, v + 150) = part(u, v);
+  }
+  Mask object(size);
+  for (int v = 150; v < 180; ++v)
+    for (int u = 205; u < 235; ++u) object(u, v) = 255;
+  std::vector<double> shuffled = angles;
+  std::swap(shuffled[1], shuffled[4]);
+  EXPECT_EQ(check_image_order(images, angles, object, {}).angles_rad, angles);
+  EXPECT_EQ(check_image_order(images, shuffled, object, {}).angles_rad, angles);
+}
+
 TEST(ImageOrder, ChecksHundredsOfImages) {
   // 79 800 exchanges: to store and to compute each from nothing takes 250 MB and 10 to 20 s.
   const std::vector<double> angles = every(0.9, 400);

@@ -41,7 +41,7 @@ RefinementField rough_field(Reflection kind, const ReflectionModel& model = usua
     if (field.object[i]) field.x[i] += gauss(random);
   }
   const WeightOptions weights;
-  ResidualSummary summary(field.size());
+  ResidualSummary summary(field.usable);
   summary.add(update_weights(field, weights, Context{}), {0, field.size().height}, 0);
   field.albedo_weight = summary.albedo_weight(weights);
   return field;

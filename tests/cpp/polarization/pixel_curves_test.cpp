@@ -27,5 +27,19 @@ TEST(PixelCurves, ChosenPixelsMustLieInTheImages) {
   }
 }
 
+TEST(PixelCurves, AreThoseOfASmallObjectInALargeImage) {
+  const Size size{700, 300};
+  PolarizationState state;
+  state.i_un = state.rho = Image<float>(size);
+  state.valid = Mask(size);
+  state.valid(1, 0) = state.valid(2, 0) = static_cast<std::uint8_t>(PixelState::valid);
+  state.rho(2, 0) = 0.1F;
+  const std::vector<Image<float>> images(3, Image<float>(size));
+  const std::vector<PixelCurve> curves = pixel_curves(state, images, {0, 1, 2}, {});
+  ASSERT_EQ(curves.size(), 4U);
+  EXPECT_EQ(curves.front().u, 1);
+  EXPECT_EQ(curves.front().v, 0);
+}
+
 }  // namespace
 }  // namespace malus
