@@ -35,4 +35,13 @@ Image<T> cropped(const Image<T>& whole, const PixelRect& rect) {
   return part;
 }
 
+/// Copies a part into a raster, to the place that it was cropped from.
+template <class T>
+void paste(const Image<T>& part, const PixelRect& rect, Image<T>& whole) {
+  for (int v = rect.v0; v < rect.v1; ++v) {
+    const T* const row = part.row(v - rect.v0);
+    std::copy(row, row + rect.width() * whole.channels(), whole.row(v) + rect.u0 * whole.channels());
+  }
+}
+
 }  // namespace malus

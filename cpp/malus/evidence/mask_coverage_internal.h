@@ -11,8 +11,8 @@ struct MaskCoverage {
   /// Shares of the object and of its surroundings that the prior covers. `object` is NaN if the object, small or thin,
   /// fills most of no pixel of the views: they do not show it.
   double object = 0, beside = 0;
-  double black = 0;               ///< share of the image outside the object
-  double border = 0;              ///< share of the image's border that the object covers
+  double black = 0;   ///< share of the image outside the object
+  double border = 0;  ///< share of the image's border that the object covers
   /// By how much the prior is nearer just inside the mask's outline than just outside it: median along the outline, in
   /// pixels of the views on the object (reduced GSD); 0 if the prior does not know both sides.
   double outline_step = 0;

@@ -66,8 +66,8 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
   Finding& finding = result.finding;
   finding.check = "response";
   finding.message =
-      "whether the images are linear could not be checked: there is too little polarization for it, or the object fills "
-      "too little of the image";
+      "whether the images are linear could not be checked: there is too little polarization for it, or the object "
+      "is small in the image";
   if (!(all.square > 0)) return result;
   result.bend = all.product / all.square;
   double count = 0, squares = 0;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <utility>
 
+#include "malus/core/bounding_box_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
@@ -685,7 +686,7 @@ class Refiner {
     const double change = blended.replace(image_.x, image_.object, context_);
     report_.iterations.push_back({binning_, searching_, statistics.cost_before, statistics.cost_after,
                                   quality.robust_cost, quality.median_residual, change, statistics.rejected_steps,
-                                  seconds_since(start)});
+                                  statistics.tiles, seconds_since(start)});
   }
 
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
@@ -723,32 +724,41 @@ class Refiner {
       round(1, true, true);
   }
 
-  /// Runs at the coarsest level only, so that the whole image fits into one field.
+  /// The smallest part with all of the object whose borders are prior blocks' or the image's.
+  PixelRect part_with_object() const {
+    const PixelRect box = bounding_box(image_.object);
+    return {box.u0 - box.u0 % prior_block_px, box.v0 - box.v0 % prior_block_px,
+            std::min(whole_blocks(box.u1), image_.size().width), std::min(whole_blocks(box.v1), image_.size().height)};
+  }
+
+  /// Runs at the coarsest level only, so that the whole object fits into one field.
   void search() {
-    const Image<double> incumbent = image_.x;
-    image_.x = sharpened_prior();
+    const PixelRect part = part_with_object();
+    const Image<double> incumbent = cropped(image_.x, part);
+    paste(sharpened_prior(part), part, image_.x);
     searching_ = true;
     for (const double widening : search_widenings) round(widening, false, false);
     searching_ = false;
-    const Image<double> candidate = std::move(image_.x);
-    image_.x = incumbent;
-    RefinementField field = image_.part(image_.everything(), context_);
+    const Image<double> candidate = cropped(image_.x, part);
+    paste(incumbent, part, image_.x);
+    RefinementField field = image_.part(part, context_);
     const RegionChoice choice = take_cheaper_regions(field, candidate, weights(1, false), context_);
-    image_.x = std::move(field.x);
+    paste(field.x, part, image_.x);
     report_.regions_compared += choice.regions;
     report_.regions_taken += choice.taken;
     if (choice.taken == 0) return;
     for (int i = 0; i < heal_rounds; ++i) round(1, i + 1 == heal_rounds, true);
   }
 
-  Image<double> sharpened_prior() const {
+  Image<double> sharpened_prior(const PixelRect& part) const {
     constexpr double detail_sigma_px = 8;
-    Image<double> x = image_.part(image_.everything(), context_).x_prior;
+    RefinementField field = image_.part(part, context_);
+    Image<double> x = std::move(field.x_prior);
     Image<float> prior(x.size());
     for (std::size_t i = 0; i < prior.count(); ++i) prior[i] = static_cast<float>(x[i]);
-    const Image<float> smooth = masked_blur(prior, image_.object, detail_sigma_px, context_);
+    const Image<float> smooth = masked_blur(prior, field.object, detail_sigma_px, context_);
     for (std::size_t i = 0; i < x.count(); ++i) {
-      if (image_.object[i]) x[i] += options_.search_sharpening * (x[i] - smooth[i]);
+      if (field.object[i]) x[i] += options_.search_sharpening * (x[i] - smooth[i]);
     }
     return x;
   }

@@ -34,6 +34,7 @@ struct RefineIteration {
   double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
   double change_gsd = 0;                   ///< RMS change of depth
   int rejected_steps = 0;
+  int tiles = 0;  ///< that hold a part of the object, out of RefineReport::tiles
   double seconds = 0;
 };
 

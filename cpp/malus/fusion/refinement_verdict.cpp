@@ -36,7 +36,7 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   constexpr int many_rejections = 4;  // per tile: no step was accepted
   const RefineIteration& last = last_round(report);
   std::string problem;
-  if (last.rejected_steps >= many_rejections * report.tiles) {
+  if (last.rejected_steps >= many_rejections * last.tiles) {
     problem = "The refinement found no better surface than the prior in most of the image.";
   } else if (!has_settled(report)) {
     problem = "The refined surface was still changing when the refinement ended, by " + rounded(last.change_gsd) +

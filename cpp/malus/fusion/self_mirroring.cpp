@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 
+#include "malus/core/bounding_box_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/self_mirroring_internal.h"
@@ -52,7 +53,9 @@ bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, d
 Mask self_mirroring_pixels(const RefinementImage& image, const Context& context) {
   constexpr int fine_enough_px = 300;
   Mask pixels(image.size());
-  if (std::max(image.size().width, image.size().height) >= 2 * fine_enough_px) {
+  const PixelRect object = bounding_box(image.pixels);
+  if (std::max(image.size().width, image.size().height) >= 2 * fine_enough_px &&
+      std::max(object.width(), object.height()) >= fine_enough_px) {
     const Mask coarse = self_mirroring_pixels(coarsened(image, context), context);
     parallel_rows(context, pixels.height(), [&](int v) {
       for (int u = 0; u < pixels.width(); ++u) pixels(u, v) = image.pixels(u, v) ? coarse(u / 2, v / 2) : 0;

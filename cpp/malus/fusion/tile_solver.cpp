@@ -57,6 +57,7 @@ class TileProblem {
   SolveStatistics solve(const TileOptions& options, const Context& context) {
     SolveStatistics statistics;
     if (unknowns_ == 0) return statistics;
+    statistics.tiles = 1;
     ceres::Solver::Options solver;
     solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
     solver.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
@@ -366,6 +367,7 @@ SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   iterations += other.iterations;
   rejected_steps += other.rejected_steps;
   failed_tiles += other.failed_tiles;
+  tiles += other.tiles;
   solver_seconds += other.solver_seconds;
   linear_solver_seconds += other.linear_solver_seconds;
   return *this;

@@ -39,6 +39,7 @@ struct TileOptions {
 struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
   int iterations = 0, rejected_steps = 0, failed_tiles = 0;
+  int tiles = 0;  ///< that hold a part of the object
   double solver_seconds = 0,
          linear_solver_seconds = 0;  ///< seconds in Ceres and in its linear solver, each tile on one thread
 

@@ -51,6 +51,35 @@ TEST(Refine, FindsTheBumpsOfASpecularSurface) {
             0.35 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
 }
 
+TEST(Refine, SearchesOnTheObjectOnly) {
+  SyntheticOptions scene;
+  scene.kind = Reflection::specular;
+  scene.model.mirror = {0.12, 13};
+  scene.size = {112, 96};
+  SyntheticStation station = make_station(scene);
+  const PixelRect object{21, 13, 77, 69};
+  for (int v = 0; v < scene.size.height; ++v) {
+    for (int u = 0; u < scene.size.width; ++u) {
+      if (u < object.u0 || v < object.v0 || u >= object.u1 || v >= object.v1)
+        station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+    }
+  }
+  RefineOptions options = quick();
+  options.search = true;
+  const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
+  EXPECT_TRUE(std::ranges::any_of(result.report.iterations, &RefineIteration::search));
+  for (int v = 0; v < scene.size.height; ++v) {
+    for (int u = 0; u < scene.size.width; ++u) {
+      const bool is_object = u >= object.u0 && v >= object.v0 && u < object.u1 && v < object.v1;
+      ASSERT_EQ(std::isfinite(result.surface.depth(u, v)), is_object);
+    }
+  }
+  const Pinhole camera = station.prior.camera.cropped(object);
+  const Image<float> truth = cropped(station.truth, object);
+  EXPECT_LT(rms_error_gsd(cropped(result.surface.depth, object), truth, camera),
+            rms_error_gsd(cropped(station.prior.depth, object), truth, camera));
+}
+
 TEST(Refine, ContinuesWhileTheSurfaceChanges) {
   SyntheticOptions scene;
   scene.model.environment.radiance.fill(0.1);
@@ -84,6 +113,22 @@ TEST(Refine, DoesNotDependOnTheNumberOfThreads) {
   const RefineResult b = refine(station.state, station.prior, {}, options, three);
   EXPECT_EQ(a.report.tiles, 4);
   EXPECT_LT(largest_difference_gsd(a.surface.depth, b.surface.depth), 1e-4);
+}
+
+TEST(Refine, CountsTheTilesThatHoldTheObject) {
+  SyntheticOptions scene;
+  scene.size = {112, 96};
+  SyntheticStation station = make_station(scene);
+  for (int v = 0; v < 96; ++v) {
+    for (int u = 0; u < 112; ++u)
+      if (u >= 30 || v >= 30) station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+  }
+  RefineOptions options = quick();
+  options.tile_px = 64;
+  options.margin_px = 16;
+  const RefineReport report = refine(station.state, station.prior, {}, options, Context{}).report;
+  EXPECT_EQ(report.tiles, 4);
+  EXPECT_EQ(report.iterations.back().tiles, 1);
 }
 
 TEST(Refine, TilesLeaveNoSeam) {

@@ -14,8 +14,9 @@ constexpr double explained_least = 0.35;
 /// Report of a surface without any reason for doubt.
 RefineReport good() {
   RefineReport report;
-  report.tiles = 2;
-  report.iterations = {{.change_gsd = 3}, {.change_gsd = 0.2}, {.search = true, .change_gsd = 9}};
+  report.tiles = 20;
+  report.iterations = {
+      {.change_gsd = 3, .tiles = 2}, {.change_gsd = 0.2, .tiles = 2}, {.search = true, .change_gsd = 9, .tiles = 2}};
   report.median_residual = 0.9;
   report.trusted_share = 0.97;
   report.explained_share = 0.85;
@@ -54,6 +55,16 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   EXPECT_TRUE(mentions(surface.confidence.reasons, "no better surface"));
   EXPECT_TRUE(mentions(surface.confidence.reasons, "residual is 4.1 standard"));
   EXPECT_EQ(surface.warnings.size(), 3u);
+}
+
+TEST(Verdict, TilesWithoutTheObjectRejectNothing) {
+  RefineReport report = good();
+  report.iterations[1].rejected_steps = 7;
+  EXPECT_EQ(judged(report).status, FusionStatus::converged);
+  report.iterations[1].rejected_steps = 8;  // no step was accepted in either of the two tiles with the object
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.status, FusionStatus::not_converged);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
 }
 
 TEST(Verdict, AnUnconvergedSurfaceThatKeptThePriorIsPartial) {

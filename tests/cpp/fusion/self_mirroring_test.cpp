@@ -10,14 +10,17 @@ namespace malus {
 namespace {
 
 /// Share of the pixels that mirror the object itself, for two walls that meet in the middle column. They fall towards
-/// it by `slope` (a groove) or, if `slope` is negative, rise (a roof).
-double share_of_walls(Size size, double slope) {
+/// it by `slope` (a groove) or, if `slope` is negative, rise (a roof). The object are the `width` columns in the
+/// middle.
+double share_of_walls(Size size, double slope, int width) {
   SyntheticOptions options;
   options.size = size;
   SyntheticStation station = make_station(options);
   for (int v = 0; v < size.height; ++v) {
     for (int u = 0; u < size.width; ++u) {
-      const double up = slope * std::abs(u - 0.5 * size.width);
+      const double beside = u - 0.5 * size.width, up = slope * std::abs(beside);
+      if (beside < -0.5 * width || beside >= 0.5 * width)
+        station.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
       station.prior.depth(u, v) = static_cast<float>(station_distance_mm - station_gsd_mm * up);
     }
   }
@@ -25,6 +28,10 @@ double share_of_walls(Size size, double slope) {
   const Mask self = self_mirroring_pixels(image, Context{});
   const auto count = [](const Mask& mask) { return static_cast<double>(std::ranges::count(mask, std::uint8_t{255})); };
   return count(self) / count(image.pixels);
+}
+
+double share_of_walls(Size size, double slope) {
+  return share_of_walls(size, slope, size.width);
 }
 
 constexpr double low = 0.7;  // tan 35°
@@ -48,6 +55,10 @@ TEST(SelfMirroring, ShallowGroovesAndRoofsDoNotMirrorThemselves) {
 TEST(SelfMirroring, LargeImagesGiveTheSameShareInCoarsePixels) {
   const double small = share_of_walls({80, 60}, low);
   EXPECT_NEAR(share_of_walls({640, 60}, low), small, 0.05);
+}
+
+TEST(SelfMirroring, ASmallObjectInALargeImageIsNotMadeCoarse) {
+  EXPECT_NEAR(share_of_walls({2560, 60}, low, 80), share_of_walls({80, 60}, low), 0.005);
 }
 
 }  // namespace
