@@ -50,7 +50,7 @@ TEST(VisiblePoints, SpacingIsThatOfTheNearestNeighbors) {
   // A dense and a sparse set of points.
   PointCloud cloud;
   add_wave(cloud, 3000, 0, 0.5, 0, 4);
-  add_wave(cloud, 60, 0.5, 1, 0, 5);
+  add_wave(cloud, 60, 0.5, 1, 0, 7);
   const VisiblePoints found = visible(cloud, 1);
   ASSERT_EQ(found.census.hidden + found.census.outliers, 0U);
   std::vector<double> spacings;
