@@ -124,15 +124,27 @@ def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = N
 
 
 def shard_of_environment() -> tuple[int, int] | None:
-    """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN and _COUNT), or None outside of one."""
-    try:
-        index = int(os.environ["SLURM_ARRAY_TASK_ID"]) - int(os.environ.get("SLURM_ARRAY_TASK_MIN", "0"))
-        count = int(os.environ["SLURM_ARRAY_TASK_COUNT"])
-    except KeyError:
+    """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN, _MAX, _STEP and _COUNT), or None outside of one.
+
+    InputError for an array with gaps, such as 1,3,7: Slurm does not say which of its tasks this one is.
+    """
+    if "SLURM_ARRAY_TASK_ID" not in os.environ or "SLURM_ARRAY_TASK_COUNT" not in os.environ:
         return None
+    try:
+        task, count = (int(os.environ[f"SLURM_ARRAY_TASK_{name}"]) for name in ("ID", "COUNT"))
+        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "0"))
+        step = int(os.environ.get("SLURM_ARRAY_TASK_STEP", "1"))
+        last = int(os.environ.get("SLURM_ARRAY_TASK_MAX", first + (count - 1) * step))
     except ValueError:
-        raise InputError("SLURM_ARRAY_TASK_ID, _MIN and _COUNT are not all numbers; give --shard i/n instead") from None
-    return checked_shard(index + 1, count, "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT")
+        raise InputError(
+            "SLURM_ARRAY_TASK_ID, _MIN, _MAX, _STEP and _COUNT are not all numbers; give --shard i/n instead"
+        ) from None
+    if step < 1 or (task - first) % step or last - first != (count - 1) * step:
+        raise InputError(
+            f"SLURM_ARRAY_TASK_ID = {task} of {count} tasks from {first} to {last}: the array has gaps, expected one as "
+            "--array=0-7 or --array=1-15:2; or give --shard i/n"
+        )
+    return checked_shard((task - first) // step + 1, count, "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT")
 
 
 def parse_shard(text: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_images, as_mask
+from malus._arrays import as_image, as_images, as_mask
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import InputError
@@ -140,7 +140,7 @@ class Station:
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
         exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
-        Relative file names in them start at the current folder. Wrong shapes raise ValueError. Wrong values raise
+        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError. Wrong values raise
         malus.InputError, whose message names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)
@@ -152,7 +152,7 @@ class Station:
         points, normals = _oriented_points(prior_points, prior_normals)
         depth = None
         if prior_depth is not None:
-            depth = np.ascontiguousarray(prior_depth, dtype=np.float32)
+            depth = as_image(prior_depth, "prior_depth")
             if depth.shape != shape:
                 raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}

@@ -240,6 +240,32 @@ def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -
         malus.batch.shard_of_environment()
 
 
+def shards_of_array(monkeypatch: pytest.MonkeyPatch, tasks: range | list[int], step: int) -> list[tuple[int, int]]:
+    """The shards of all tasks of an array job, whose environment Slurm sets as here."""
+    said = {"MIN": min(tasks), "MAX": max(tasks), "STEP": step, "COUNT": len(tasks)}
+    shards = []
+    for task in tasks:
+        for name, value in {**said, "ID": task}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
+        shard = malus.batch.shard_of_environment()
+        assert shard is not None
+        shards.append(shard)
+    return shards
+
+
+def test_an_array_job_with_a_step_runs_every_shard(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert shards_of_array(monkeypatch, range(1, 11, 2), 2) == [(k, 5) for k in range(1, 6)]
+    assert shards_of_array(monkeypatch, range(4, 7), 1) == [(k, 3) for k in range(1, 4)]
+    assert shards_of_array(monkeypatch, [7], 1) == [(1, 1)]
+
+
+@pytest.mark.parametrize("tasks", [[1, 3, 7], [0, 1, 3], [3, 7]])
+def test_an_array_job_with_gaps_is_refused(monkeypatch: pytest.MonkeyPatch, tasks: list[int]) -> None:
+    """Otherwise its first tasks ran, and nobody the shards in the gaps."""
+    with pytest.raises(malus.InputError, match=rf"{len(tasks)} tasks from {tasks[0]} to {tasks[-1]}: .*gaps.*--shard"):
+        shards_of_array(monkeypatch, tasks, 1)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
