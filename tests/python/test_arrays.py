@@ -130,6 +130,40 @@ def test_nan_in_a_mask_is_no_object(maps: tuple[np.ndarray, np.ndarray, np.ndarr
     np.testing.assert_array_equal(np.isfinite(state.degree), np.isfinite(mask))
 
 
+def test_16_bit_images_may_have_any_byte_order(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Readers of big-endian files give '>u2'; these were refused with "expected … uint16"."""
+    counts = [np.rint(65535 * np.clip(image, 0, 1)).astype(np.uint16) for image in polarized(*maps)]
+    expected = malus.polarization.decompose(counts, ANGLES)
+    found = malus.polarization.decompose([image.astype(">u2") for image in counts], ANGLES)
+    np.testing.assert_array_equal(found.degree, expected.degree)
+    np.testing.assert_array_equal(found.valid, expected.valid)
+
+
+def test_nan_does_not_hide_intensities_of_another_scale(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    images = [255 * image for image in polarized(*maps)]
+    images[0][3, 4] = np.nan
+    with pytest.raises(ValueError, match=r"images\[0\] reaches .*expected linear intensities in \[0, 1\]"):
+        malus.polarization.decompose(images, ANGLES)
+
+
+def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Below its mask an array has the file's value for no data, -9999 of a depth map for example."""
+    images = [np.ma.masked_array(image, np.zeros(image.shape, bool)) for image in polarized(*maps)]
+    state = malus.polarization.decompose(images, ANGLES)
+    assert (state.valid == 255).all(), "nothing is masked"
+    images[2][3, 4] = np.ma.masked
+    with pytest.raises(ValueError, match=r"images\[2\] has masked values, expected .*filled"):
+        malus.polarization.decompose(images, ANGLES)
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    depth = np.ma.masked_equal(np.full((40, 50), 100.0), 100.0)
+    with pytest.raises(ValueError, match="prior_depth has masked values"):
+        malus.Station(polarized(*maps), np.degrees(ANGLES), camera, prior_depth=depth)
+    with pytest.raises(ValueError, match="depth has masked values"):
+        malus.prior.project_depth(depth, camera)
+    with pytest.raises(ValueError, match="mask has masked values"):
+        malus.polarization.decompose(polarized(*maps), ANGLES, mask=depth)
+
+
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:
     """Mean angle between `normal` (y up) and the normals of a height in pixels, by central differences within the mask's border."""
     inner = mask.copy()
