@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ def reconstruct(
 
     Raises malus.InputError, DataError, ExternalError or ResourceError.
     """
-    settings = options or Options()
+    settings = copy(options or Options())  # Result.save needs those of this run, whatever the caller sets afterwards
 
     def report(step: str, fraction: float, message: str) -> None:
         if progress is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import runpy
 
 import numpy as np
@@ -112,6 +114,33 @@ def test_options_are_checked() -> None:
     with pytest.raises(ValueError):
         malus.Options(fusion="magic")
     assert all(doc for _, _, _, doc in malus.Options.describe())
+
+
+def test_options_are_set_by_assignment_or_refused() -> None:
+    """Attributes of other names, and mappings that replaced a section, were kept and never used."""
+    options = malus.Options(height={"iterations": 7})
+    options.height = {"smoothness": 0.2}
+    assert (options.height.smoothness, options.height.iterations) == (0.2, 7)
+    assert options.to_dict()["height"]["smoothness"] == 0.2
+    other = malus.Options()
+    other.height = options.height
+    assert other == options
+    with pytest.raises(malus.InputError, match="unknown option section fuson; did you mean fusion"):
+        options.fuson = "grid"
+    with pytest.raises(malus.InputError, match=r"option section height = 3, expected a table"):
+        options.height = 3
+    options.fusion = "grid"
+    assert options.to_dict()["fusion"] == "grid"
+
+
+def test_options_can_be_copied_and_pickled() -> None:
+    options = malus.Options(height={"smoothness": 0.2})
+    for copied in (copy.copy(options), copy.deepcopy(options), pickle.loads(pickle.dumps(options))):
+        assert copied == options
+        copied.height.smoothness = 0.3
+        assert options.height.smoothness == 0.2
+    assert pickle.loads(pickle.dumps(options.height)).smoothness == 0.2
+    assert copy.copy(options.height).smoothness == 0.2
 
 
 def test_option_type_file_matches_the_library() -> None:

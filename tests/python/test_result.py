@@ -21,7 +21,10 @@ def result(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.nda
     station = malus.Station(
         images, sensor.angles_deg, scene.camera, prior_depth=scene.depth, name="in memory", frames_averaged=16
     )
-    return malus.reconstruct(station, malus.Options(refine=QUICK))
+    options = malus.Options(refine=QUICK)
+    result = malus.reconstruct(station, options)
+    options.surface.subsample = 3  # of the caller's next run
+    return result
 
 
 def test_result_describes_itself(result: malus.Result, scene: synthetic.Scene) -> None:
@@ -58,6 +61,7 @@ def test_save_writes_what_is_in_memory(result: malus.Result, tmp_path: Path) -> 
     np.testing.assert_array_equal(workspace.raster("prior/sigma.tif"), result.prior_sigma)
     assert workspace.quality["warnings"] == result.warnings
     assert workspace.manifest["warnings"] == result.warnings
+    assert workspace.options() == malus.Options(refine=QUICK), "not those that were set after the run"
 
 
 def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) -> None:
