@@ -115,6 +115,21 @@ def test_intensities_above_one_are_refused(images: list[np.ndarray], sensor: syn
         malus.polarization.decompose([255 * image for image in images], np.deg2rad(sensor.angles_deg))
 
 
+@pytest.mark.parametrize("threads", [0, -1])
+def test_fewer_threads_than_one_are_refused(
+    images: list[np.ndarray], sensor: synthetic.Sensor, scene: synthetic.Scene, threads: int
+) -> None:
+    """-1, which means all cores elsewhere, gave another surface than 1."""
+    station = malus.Station(images, sensor.angles_deg, scene.camera, prior_depth=scene.depth)
+    said = f"threads = {threads}, expected at least 1"
+    with pytest.raises(malus.InputError, match=said):
+        malus.reconstruct(station, threads=threads)
+    with pytest.raises(malus.InputError, match=said):
+        malus.check(station, threads=threads)
+    with pytest.raises(ValueError, match=said):
+        malus.polarization.decompose(images, np.deg2rad(sensor.angles_deg), threads=threads)
+
+
 def test_all_cores_by_default() -> None:
     assert ALL_CORES >= 1
     assert malus.reconstruct.__kwdefaults__["threads"] == ALL_CORES
