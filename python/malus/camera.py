@@ -31,6 +31,14 @@ class Camera:
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
     translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
 
+    def __eq__(self, other: object) -> bool:
+        """Whether lens and pose have the same numbers; the method that a dataclass generates cannot compare arrays."""
+        if not isinstance(other, Camera):
+            return NotImplemented
+        lenses = [(camera.model, camera.width, camera.height) for camera in (self, other)]
+        numbers = [(camera.params, camera.rotation, camera.translation) for camera in (self, other)]
+        return lenses[0] == lenses[1] and all(map(np.array_equal, *numbers))
+
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3×3) and translation (3) as float64, checked."""
         rotation = np.asarray(self.rotation, dtype=np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import json
 import os
@@ -777,10 +778,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _run(arguments)
     except KeyboardInterrupt:
-        print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
+        with contextlib.suppress(BrokenPipeError):
+            print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has ended (`malus … | head`): end silently.
+        # The reader of our last lines has ended (`malus options | head`): end silently.
         sys.stderr.close()
         return 0
     except Exception as error:

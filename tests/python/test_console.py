@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import html
 import json
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -89,6 +91,23 @@ def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) ->
     *events, last = map(json.loads, capsys.readouterr().out.splitlines())
     assert [event["message"] for event in events] == ["doubtful", "strange", "doubtful"]
     assert last["warnings"] == ["doubtful", "strange"]
+
+
+@pytest.mark.parametrize("progress_words", [["--json"], []])
+def test_a_run_whose_output_nobody_reads_any_more_is_not_done(
+    small_station_source: Path, tmp_path: Path, progress_words: list[str]
+) -> None:
+    """`malus run … --json | head` and `malus run … 2>&1 | head` ended with exit code 0 or 1, whatever the run had done."""
+    kept, closed = os.pipe()
+    os.close(kept)
+    command = [sys.executable, "-m", "malus.cli", "decompose", small_station_source / "station.toml"]
+    command += ["-o", tmp_path / "work", *progress_words]
+    outputs = {"stdout": closed, "stderr": subprocess.PIPE if progress_words else closed}
+    run = subprocess.Popen(command, text=True, **outputs)
+    os.close(closed)
+    _, err = run.communicate(timeout=300)
+    assert run.returncode == 130
+    assert not progress_words or err == "malus: interrupted; finished steps are kept and will not be repeated\n"
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])

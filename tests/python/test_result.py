@@ -92,6 +92,14 @@ def test_part_of_a_run(scene: synthetic.Scene, sensor: synthetic.Sensor, images:
     assert "<img" not in part._repr_html_()
 
 
+def test_cameras_are_compared_by_their_numbers(scene: synthetic.Scene, result: malus.Result) -> None:
+    camera = replace(scene.camera, params=tuple(scene.camera.params), rotation=np.array(scene.camera.rotation))
+    assert camera == scene.camera and camera != "camera"
+    assert result.camera is not None and replace(result.camera) == result.camera
+    for other in ({"model": "OPENCV"}, {"width": 7}, {"params": [*scene.camera.params, 0.0]}, {"translation": [0, 0, 1]}):
+        assert replace(camera, **other) != camera
+
+
 def test_distorted_cameras_are_refused_for_maps(scene: synthetic.Scene) -> None:
     lens = malus.Camera("OPENCV", scene.camera.width, scene.camera.height, [*scene.camera.params, 0.01, 0, 0, 0])
     with pytest.raises(malus.InputError, match=r"OPENCV.*undistorted\(\)"):
