@@ -30,7 +30,7 @@ install_packages() {
 }
 
 create_environment() {
-  [ -x .venv/bin/python ] && return
+  [ -x .venv/bin/pip ] && return  # the last file that is made: without it, an earlier call was interrupted here
   say "creating the virtual environment .venv"
   /usr/bin/python3 -m venv .venv
 }
