@@ -12,10 +12,10 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -101,20 +101,19 @@ def run_campaign(
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
+    if shard is not None:
+        checked_shard(*shard, "shard")
     for folder in (Path(output), Path(output) / "done"):
         remove_unfinished(folder, older_than_s=3600)
     tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs), cameras)
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
-    if not open_tasks:
-        finished: Iterator[Outcome] = iter(())
-    elif scheduler is not None:
-        finished = _on_cluster(open_tasks, scheduler)
-    else:
-        finished = _on_this_machine(open_tasks, jobs)
-    for count, outcome in enumerate(finished, start=1):
-        if progress is not None:
-            progress(count, len(open_tasks), outcome)
+    if open_tasks:
+        finished = _on_this_machine(open_tasks, jobs) if scheduler is None else _on_cluster(open_tasks, scheduler)
+        with closing(finished):  # ends the processes if `progress` raises an error, or Ctrl-C comes while it runs
+            for count, outcome in enumerate(finished, start=1):
+                if progress is not None:
+                    progress(count, len(open_tasks), outcome)
     return _merge(campaign, tasks, Path(output))
 
 
@@ -223,7 +222,7 @@ def _submitted(pool: ProcessPoolExecutor, tasks: Sequence[Task]) -> list[Future[
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Generator[Outcome, None, None]:
     left = {task.identifier: task for task in tasks}
     try:
         with _processes(min(jobs, len(tasks))) as pool:
@@ -241,7 +240,7 @@ def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
                 yield _killed(task, "its process was killed, perhaps out of memory (see malus check)")
 
 
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
+def _on_cluster(tasks: Sequence[Task], address: str) -> Generator[Outcome, None, None]:
     distributed = extra("distributed", "distributed", "--scheduler", "dask")
     try:
         client = distributed.Client(address, timeout=_SCHEDULER_TIMEOUT)
