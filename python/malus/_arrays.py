@@ -55,13 +55,18 @@ def as_images(
 def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[Any]]:
     """K images of one size: uint16 with white at 65535, or float32 in [0, 1] of the white level (only far larger values are refused)."""
     images = as_images(values, name, keep_16_bit=True)
+    require_shares(images, name, "uint16")
+    return images
+
+
+def require_shares(images: Sequence[NDArray[Any]], name: str, otherwise: str) -> None:
+    """ValueError if float32 images are plainly no shares of the white level; `otherwise`: what else is expected, for the message."""
     for k, image in enumerate(images):
         brightest = np.fmax.reduce(image, axis=None)  # without NaN, which would hide all other values
         if image.dtype == np.float32 and brightest > _TOO_BRIGHT:
             raise ValueError(
-                f"{name}[{k}] reaches {brightest:g}, expected linear intensities in [0, 1] of the white level, or uint16"
+                f"{name}[{k}] reaches {brightest:g}, expected linear intensities in [0, 1] of the white level, or {otherwise}"
             )
-    return images
 
 
 def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[np.float32]]:
