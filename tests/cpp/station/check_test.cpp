@@ -48,6 +48,17 @@ TEST(Threads, FewerThanOneAreRefused) {
   }
 }
 
+/// A program that embeds the library can make such stations; files and Python's arrays are checked before.
+TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
+  Station station = scaled_station();
+  station.mask = Mask({7, 30}, 1, 255);
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "mask is 7 x 30", "40 x 30");
+  station.images.clear();
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "no polarized images");
+}
+
 TEST(CheckPicture, ShowsThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   const std::vector<PriorSource> sources{cloud_of(station), Image<float>({40, 30}, 1, 100.0F),
