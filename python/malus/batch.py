@@ -96,7 +96,8 @@ def run_campaign(
     of each station (default: all cores, divided among the jobs). scheduler: address of a Dask scheduler whose workers see the same
     files; needs the extra "dask". shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
-    Stations that failed before are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed
+    Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
+    around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
     or pending.
     """
     if jobs < 1:
