@@ -37,7 +37,7 @@ create_environment() {
 
 # One hash of all files that the build depends on, so that an unchanged tree is neither configured nor built again.
 source_state() {
-  find CMakeLists.txt cmake cpp python tests/cpp examples pyproject.toml README.md -type f -not -name '*.pyc' -print0 |
+  find CMakeLists.txt cmake cpp python tests/cpp examples docs/glossary.md pyproject.toml README.md LICENSE -type f -not -name '*.pyc' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
 

@@ -168,6 +168,15 @@ def test_an_environment_whose_making_was_interrupted_is_made_again(tmp_path: Pat
     assert said() == ""
 
 
+def test_every_file_of_the_package_makes_scripts_build_again() -> None:
+    """A changed glossary was not installed: reports showed the old one."""
+    listed = re.search(r"find (.+?) -type f", (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"))
+    install = (ROOT / "python/bindings/CMakeLists.txt").read_text(encoding="utf-8")
+    installed = re.findall(r"\$\{PROJECT_SOURCE_DIR\}/(\S+?)/? DESTINATION", install)
+    assert listed is not None and {"docs/glossary.md", "examples"} <= set(installed)
+    assert {*installed, "README.md", "LICENSE", "pyproject.toml", "python", "cpp"} <= set(listed[1].split())
+
+
 #: Spellings that are not American, anywhere in a word.
 BRITISH = re.compile(
     "centre|neighbour|catalogue|colour|grey|behaviour|judgement|metre|polaris[ei]|labelled|modelled|favour|cancelled",
