@@ -84,6 +84,16 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
     return angles
 
 
+def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
+    """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
+    if not (full_well_e > 0 and np.isfinite(full_well_e)):
+        raise ValueError(f"full_well_e = {full_well_e}, expected a positive number of electrons")
+    if not (read_noise_e >= 0 and np.isfinite(read_noise_e)):
+        raise ValueError(f"read_noise_e = {read_noise_e}, expected a number of electrons that is not negative")
+    if not frames_averaged >= 1:
+        raise ValueError(f"frames_averaged = {frames_averaged}, expected 1 or more")
+
+
 def as_mask(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """H×W, 255 where the values are neither zero nor NaN."""
     array = unmasked(values, "mask")

@@ -175,6 +175,21 @@ def test_nan_does_not_hide_intensities_of_another_scale(maps: tuple[np.ndarray, 
         malus.polarization.decompose(images, ANGLES)
 
 
+@pytest.mark.parametrize(
+    "noise", [{"full_well_e": 0.0}, {"full_well_e": np.inf}, {"read_noise_e": -1.0}, {"frames_averaged": 0}]
+)
+def test_impossible_noise_is_refused(
+    maps: tuple[np.ndarray, np.ndarray, np.ndarray], noise: dict[str, float]
+) -> None:
+    """Their variances are infinite or NaN, and every pixel followed the sinusoid."""
+    images, said = polarized(*maps), f"{next(iter(noise))} = .*expected"
+    for call in (malus.polarization.decompose, malus.polarization.calibrate):
+        with pytest.raises(ValueError, match=said):
+            call(images, ANGLES, **noise)
+    with pytest.raises(ValueError, match=said):
+        malus.capture.register(images, **noise)
+
+
 def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     """Below its mask an array has the file's value for no data, -9999 of a depth map for example."""
     images = [np.ma.masked_array(image, np.zeros(image.shape, bool)) for image in polarized(*maps)]
