@@ -35,9 +35,11 @@ class Camera:
         """Whether lens and pose have the same numbers; the method that a dataclass generates cannot compare arrays."""
         if not isinstance(other, Camera):
             return NotImplemented
-        lenses = [(camera.model, camera.width, camera.height) for camera in (self, other)]
-        numbers = [(camera.params, camera.rotation, camera.translation) for camera in (self, other)]
-        return lenses[0] == lenses[1] and all(map(np.array_equal, *numbers))
+        return (self.model, self.width, self.height) == (other.model, other.width, other.height) and (
+            np.array_equal(self.params, other.params)
+            and np.array_equal(self.rotation, other.rotation)
+            and np.array_equal(self.translation, other.translation)
+        )
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3×3) and translation (3) as float64, checked."""

@@ -178,9 +178,7 @@ def test_nan_does_not_hide_intensities_of_another_scale(maps: tuple[np.ndarray, 
 @pytest.mark.parametrize(
     "noise", [{"full_well_e": 0.0}, {"full_well_e": np.inf}, {"read_noise_e": -1.0}, {"frames_averaged": 0}]
 )
-def test_impossible_noise_is_refused(
-    maps: tuple[np.ndarray, np.ndarray, np.ndarray], noise: dict[str, float]
-) -> None:
+def test_impossible_noise_is_refused(maps: tuple[np.ndarray, np.ndarray, np.ndarray], noise: dict[str, float]) -> None:
     """Their variances are infinite or NaN, and every pixel followed the sinusoid."""
     images, said = polarized(*maps), f"{next(iter(noise))} = .*expected"
     for call in (malus.polarization.decompose, malus.polarization.calibrate):
