@@ -93,21 +93,26 @@ def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) ->
     assert last["warnings"] == ["doubtful", "strange"]
 
 
-@pytest.mark.parametrize("progress_words", [["--json"], []])
-def test_a_run_whose_output_nobody_reads_any_more_is_not_done(
-    small_station_source: Path, tmp_path: Path, progress_words: list[str]
-) -> None:
-    """`malus run … --json | head` and `malus run … 2>&1 | head` ended with exit code 0 or 1, whatever the run had done."""
+def unread(*command: str | Path, errors_too: bool = False) -> tuple[int, str | None]:
+    """Exit code and errors of a program whose output, with `errors_too` also that of errors, is a pipe that nobody reads."""
     kept, closed = os.pipe()
     os.close(kept)
-    command = [sys.executable, "-m", "malus.cli", "decompose", small_station_source / "station.toml"]
-    command += ["-o", tmp_path / "work", *progress_words]
-    outputs = {"stdout": closed, "stderr": subprocess.PIPE if progress_words else closed}
-    run = subprocess.Popen(command, text=True, **outputs)
+    run = subprocess.Popen(command, stdout=closed, stderr=closed if errors_too else subprocess.PIPE, text=True)
     os.close(closed)
     _, err = run.communicate(timeout=300)
-    assert run.returncode == 130
-    assert not progress_words or err == "malus: interrupted; finished steps are kept and will not be repeated\n"
+    return run.returncode, err
+
+
+def test_a_run_whose_output_nobody_reads_any_more_is_not_done(small_station_source: Path, tmp_path: Path) -> None:
+    """`malus run … --json | head` and `malus run … 2>&1 | head` ended with exit code 0 or 1, whatever the run had done."""
+    command = [sys.executable, "-m", "malus.cli", "decompose", small_station_source / "station.toml", "-o"]
+    said = "malus: interrupted; finished steps are kept and will not be repeated\n"
+    assert unread(*command, tmp_path / "a", "--json") == (130, said)
+    assert unread(*command, tmp_path / "b", errors_too=True) == (130, None)
+    program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
+    if program.exists():
+        station = small_station_source / "station.toml"
+        assert unread(program, station, "-o", tmp_path / "c", "--json") == (130, "malus-station: interrupted\n")
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])
