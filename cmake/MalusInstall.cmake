@@ -7,7 +7,8 @@ set(config_dir ${CMAKE_INSTALL_LIBDIR}/cmake/malus)
 install(TARGETS malus EXPORT malus-targets
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT development
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT development
-        RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
+        RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development
+        INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 if(TARGET malus-station)
   install(TARGETS malus-station RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT development)
   install(FILES cpp/app/completion/malus-station DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions

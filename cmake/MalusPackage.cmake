@@ -12,7 +12,7 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS
-    "libeigen3-dev, libtbb-dev, libsuitesparse-dev, libopenblas-dev, libceres-dev, libopencv-dev, libtomlplusplus-dev, nlohmann-json3-dev")
+    "libeigen3-dev, libtbb-dev, libsuitesparse-dev, libopenblas-dev, libceres-dev, libopencv-dev, libtiff-dev, libpng-dev, libjpeg-dev, libssl-dev, libre2-dev, libtomlplusplus-dev")
 # The package leaves out the wheel's component "python".
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_COMPONENTS_ALL development)

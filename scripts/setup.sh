@@ -30,14 +30,14 @@ install_packages() {
 }
 
 create_environment() {
-  [ -x .venv/bin/python ] && return
+  [ -x .venv/bin/pip ] && return  # the last file that is made: without it, an earlier call was interrupted here
   say "creating the virtual environment .venv"
   /usr/bin/python3 -m venv .venv
 }
 
 # One hash of all files that the build depends on, so that an unchanged tree is neither configured nor built again.
 source_state() {
-  find CMakeLists.txt cmake cpp python tests/cpp examples pyproject.toml README.md -type f -not -name '*.pyc' -print0 |
+  find CMakeLists.txt cmake cpp python tests/cpp examples docs/glossary.md pyproject.toml README.md LICENSE -type f -not -name '*.pyc' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
 

@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
@@ -94,7 +95,9 @@ class Reporter {
   void write(nlohmann::ordered_json event) {
     const auto elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_);
     event["seconds"] = elapsed.count();
+    errno = 0;
     std::cout << event.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << std::endl;
+    if (!std::cout && errno == EPIPE) interrupted.store(true);  // nobody reads any more
   }
 
   bool json_, quiet_;
@@ -191,8 +194,9 @@ void end_at_signals() {
     static_cast<void>(!::write(STDERR_FILENO, message.data(), message.size()));
     std::_Exit(static_cast<int>(ErrorCode::interrupted));
   });
-  // A file that exceeds the size limit is then an error like a full disk.
+  // A file that exceeds the size limit is then an error like a full disk, and output that nobody reads fails.
   std::signal(SIGXFSZ, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);
 }
 
 /// Sets OPENBLAS_NUM_THREADS and starts the program once more. OpenBLAS starts its threads when it is loaded, before

@@ -61,6 +61,7 @@ void run_interruptible(int threads, const py::object& on_progress, const py::obj
   std::atomic<bool> cancel{false};
   Context context;
   context.threads = threads;
+  context.validate();
   context.cancel = &cancel;
   if (!on_progress.is_none()) {
     context.on_progress = [&](const Progress& p) {

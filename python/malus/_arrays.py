@@ -12,9 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 _TOO_BRIGHT = 10
 
 
+def unmasked(values: ArrayLike, name: str) -> NDArray[Any]:
+    """The values as an array; ValueError for a masked array with masked values: what lies below its mask is no data, but would be read."""
+    if np.ma.is_masked(values):
+        raise ValueError(
+            f"{name} has masked values, expected an array without a mask, such as array.astype(float).filled(numpy.nan)"
+        )
+    return np.asarray(values)
+
+
 def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
     """The values as an H×W (or H×W×channels) array of `dtype`, C-contiguous; ValueError names the argument, its shape and the expected shape."""
-    array = np.asarray(values)
+    array = unmasked(values, name)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} has type {array.dtype}, expected numbers")
     expected = "(H, W)" if channels == 1 else f"(H, W, {channels})"
@@ -28,7 +37,8 @@ def as_images(
     values: Sequence[ArrayLike] | NDArray[Any], name: str, *, keep_16_bit: bool = False, color: bool = False
 ) -> list[NDArray[Any]]:
     """K images of one size, float32. keep_16_bit: if all are uint16, they stay uint16. color: H×W×3 is allowed, too."""
-    sixteen = keep_16_bit and all(np.asarray(value).dtype == np.uint16 for value in values)
+    # Of any byte order: big-endian files are often read as they are.
+    sixteen = keep_16_bit and all(np.asarray(value).dtype.newbyteorder("=") == np.uint16 for value in values)
     dtype = np.uint16 if sixteen else np.float32
     images = [
         as_image(value, f"{name}[{k}]", 3 if color and np.ndim(value) == 3 else 1, dtype)
@@ -45,13 +55,18 @@ def as_images(
 def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[Any]]:
     """K images of one size: uint16 with white at 65535, or float32 in [0, 1] of the white level (only far larger values are refused)."""
     images = as_images(values, name, keep_16_bit=True)
+    require_shares(images, name, "uint16")
+    return images
+
+
+def require_shares(images: Sequence[NDArray[Any]], name: str, otherwise: str) -> None:
+    """ValueError if float32 images are plainly no shares of the white level; `otherwise`: what else is expected, for the message."""
     for k, image in enumerate(images):
-        brightest = image.max()
+        brightest = np.fmax.reduce(image, axis=None)  # without NaN, which would hide all other values
         if image.dtype == np.float32 and brightest > _TOO_BRIGHT:
             raise ValueError(
-                f"{name}[{k}] reaches {brightest:g}, expected linear intensities in [0, 1] of the white level, or uint16"
+                f"{name}[{k}] reaches {brightest:g}, expected linear intensities in [0, 1] of the white level, or {otherwise}"
             )
-    return images
 
 
 def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDArray[np.float32]]:
@@ -69,9 +84,19 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
     return angles
 
 
+def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
+    """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
+    if not (full_well_e > 0 and np.isfinite(full_well_e)):
+        raise ValueError(f"full_well_e = {full_well_e}, expected a positive number of electrons")
+    if not (read_noise_e >= 0 and np.isfinite(read_noise_e)):
+        raise ValueError(f"read_noise_e = {read_noise_e}, expected a number of electrons that is not negative")
+    if not frames_averaged >= 1:
+        raise ValueError(f"frames_averaged = {frames_averaged}, expected 1 or more")
+
+
 def as_mask(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """H×W, 255 where the values are neither zero nor NaN."""
-    array = np.asarray(values)
+    array = unmasked(values, "mask")
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")
     return np.where((array != 0) & (array == array), np.uint8(255), np.uint8(0))  # NaN differs from itself

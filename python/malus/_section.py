@@ -23,6 +23,8 @@ class Section:
         object.__setattr__(self, "_name", name)
 
     def __getattr__(self, key: str) -> Any:
+        if key.startswith("_"):  # asked for by copy and pickle, also before there are any attributes
+            raise AttributeError(key)
         values = self._options._values[self._name]
         if key not in values:
             raise AttributeError(f"no option {self._name}.{key}; there are {', '.join(values)}")

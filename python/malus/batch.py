@@ -12,10 +12,10 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -96,25 +96,25 @@ def run_campaign(
     of each station (default: all cores, divided among the jobs). scheduler: address of a Dask scheduler whose workers see the same
     files; needs the extra "dask". shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
-    Stations that failed before are tried again. Returns the outcomes of all stations of the campaign; `status` is done, failed
+    Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
+    around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
     or pending.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
+    if shard is not None:
+        checked_shard(*shard, "shard")
     for folder in (Path(output), Path(output) / "done"):
         remove_unfinished(folder, older_than_s=3600)
     tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs), cameras)
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
-    if not open_tasks:
-        finished: Iterator[Outcome] = iter(())
-    elif scheduler is not None:
-        finished = _on_cluster(open_tasks, scheduler)
-    else:
-        finished = _on_this_machine(open_tasks, jobs)
-    for count, outcome in enumerate(finished, start=1):
-        if progress is not None:
-            progress(count, len(open_tasks), outcome)
+    if open_tasks:
+        finished = _on_this_machine(open_tasks, jobs) if scheduler is None else _on_cluster(open_tasks, scheduler)
+        with closing(finished):  # ends the processes if `progress` raises an error, or Ctrl-C comes while it runs
+            for count, outcome in enumerate(finished, start=1):
+                if progress is not None:
+                    progress(count, len(open_tasks), outcome)
     return _merge(campaign, tasks, Path(output))
 
 
@@ -124,15 +124,27 @@ def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = N
 
 
 def shard_of_environment() -> tuple[int, int] | None:
-    """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN and _COUNT), or None outside of one."""
-    try:
-        index = int(os.environ["SLURM_ARRAY_TASK_ID"]) - int(os.environ.get("SLURM_ARRAY_TASK_MIN", "0"))
-        count = int(os.environ["SLURM_ARRAY_TASK_COUNT"])
-    except KeyError:
+    """The shard of a Slurm array job (SLURM_ARRAY_TASK_ID, _MIN, _MAX, _STEP and _COUNT), or None outside of one.
+
+    InputError for an array with gaps, such as 1,3,7: Slurm does not say which of its tasks this one is.
+    """
+    if "SLURM_ARRAY_TASK_ID" not in os.environ or "SLURM_ARRAY_TASK_COUNT" not in os.environ:
         return None
+    try:
+        task, count = (int(os.environ[f"SLURM_ARRAY_TASK_{name}"]) for name in ("ID", "COUNT"))
+        first = int(os.environ.get("SLURM_ARRAY_TASK_MIN", "0"))
+        step = int(os.environ.get("SLURM_ARRAY_TASK_STEP", "1"))
+        last = int(os.environ.get("SLURM_ARRAY_TASK_MAX", first + (count - 1) * step))
     except ValueError:
-        raise InputError("SLURM_ARRAY_TASK_ID, _MIN and _COUNT are not all numbers; give --shard i/n instead") from None
-    return checked_shard(index + 1, count, "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT")
+        raise InputError(
+            "SLURM_ARRAY_TASK_ID, _MIN, _MAX, _STEP and _COUNT are not all numbers; give --shard i/n instead"
+        ) from None
+    if step < 1 or (task - first) % step or last - first != (count - 1) * step:
+        raise InputError(
+            f"SLURM_ARRAY_TASK_ID = {task} of {count} tasks from {first} to {last}: the array has gaps, expected one as "
+            "--array=0-7 or --array=1-15:2; or give --shard i/n"
+        )
+    return checked_shard((task - first) // step + 1, count, "SLURM_ARRAY_TASK_ID and SLURM_ARRAY_TASK_COUNT")
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -211,7 +223,7 @@ def _submitted(pool: ProcessPoolExecutor, tasks: Sequence[Task]) -> list[Future[
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Generator[Outcome, None, None]:
     left = {task.identifier: task for task in tasks}
     try:
         with _processes(min(jobs, len(tasks))) as pool:
@@ -229,7 +241,7 @@ def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
                 yield _killed(task, "its process was killed, perhaps out of memory (see malus check)")
 
 
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
+def _on_cluster(tasks: Sequence[Task], address: str) -> Generator[Outcome, None, None]:
     distributed = extra("distributed", "distributed", "--scheduler", "dask")
     try:
         client = distributed.Client(address, timeout=_SCHEDULER_TIMEOUT)

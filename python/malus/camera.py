@@ -31,6 +31,16 @@ class Camera:
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
     translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
 
+    def __eq__(self, other: object) -> bool:
+        """Whether lens and pose have the same numbers; the method that a dataclass generates cannot compare arrays."""
+        if not isinstance(other, Camera):
+            return NotImplemented
+        return (self.model, self.width, self.height) == (other.model, other.width, other.height) and (
+            np.array_equal(self.params, other.params)
+            and np.array_equal(self.rotation, other.rotation)
+            and np.array_equal(self.translation, other.translation)
+        )
+
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3×3) and translation (3) as float64, checked."""
         rotation = np.asarray(self.rotation, dtype=np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_shares
+from malus._arrays import as_image, as_shares, require_noise, unmasked
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -51,7 +51,7 @@ def linearize(
 
     response: "linear", "srgb", "gamma:X", or the path of a lookup table (docs/station-file.md).
     """
-    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    pixels = np.ascontiguousarray(unmasked(image, "image"), dtype=np.float32)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise ValueError(f"image has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
     return _core.linearize(pixels, response, float(black_level), float(white_level))
@@ -75,6 +75,7 @@ def register(
 
     images: K arrays H×W, linear, in [0, 1] of the white level, or all uint16 with white at 65535.
     """
+    require_noise(full_well_e, read_noise_e, frames_averaged)
     found = _core.register_images(
         as_shares(images, "images"),
         (options or Options()).to_json(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import json
 import os
@@ -65,6 +66,7 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Report an unknown option first, before argparse complains of arguments that are missing because of it."""
         if self._subparsers is None:
+            args = _with_lists_of_numbers(args)
             for word in args:
                 name = word.partition("=")[0]
                 if word == "--":
@@ -73,6 +75,17 @@ class _Parser(argparse.ArgumentParser):
                     near = difflib.get_close_matches(name, self._option_string_actions, n=1)
                     self.error(f"{name} is unknown" + (f"; did you mean {near[0]}?" if near else ""))
         return super().parse_known_args(args, namespace)
+
+
+def _with_lists_of_numbers(words: Sequence[str]) -> list[str]:
+    """The words with lists such as -45,0,45 joined to their options: argparse takes such a list for an option of its own."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1].startswith("--") and re.fullmatch(r"-[\d.]+(,[^,]*)+", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _with_the_nearest(message: str) -> str:
@@ -777,10 +790,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _run(arguments)
     except KeyboardInterrupt:
-        print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
+        with contextlib.suppress(BrokenPipeError):
+            print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has ended (`malus … | head`): end silently.
+        # The reader of our last lines has ended (`malus options | head`): end silently.
         sys.stderr.close()
         return 0
     except Exception as error:

@@ -103,6 +103,18 @@ def _rows(values: ArrayLike | None, name: str, count: int, dtype: type) -> NDArr
     return array
 
 
+def _colors_of(values: ArrayLike | None, count: int) -> NDArray[np.uint8] | None:
+    """Colors as bytes; ValueError for those in [0, 1], which all became black, and for those that no byte can have."""
+    colors = _rows(values, "colors", count, np.float64)
+    if colors is None or colors.size == 0:
+        return None
+    low, high = colors.min(), colors.max()
+    in_one = np.asarray(values).dtype.kind == "f" and 0 < high <= 1
+    if in_one or not (low >= 0 and high <= 255):
+        raise ValueError(f"colors has values from {low:g} to {high:g}, expected 0 to 255")
+    return colors.round().astype(np.uint8)
+
+
 def check_cloud(
     points: ArrayLike,
     state: PolarizationState,
@@ -134,7 +146,7 @@ def check_cloud(
         **_core.check_cloud(
             cloud,
             _rows(normals, "normals", len(cloud), np.float32),
-            _rows(colors, "colors", len(cloud), np.uint8),
+            _colors_of(colors, len(cloud)),
             state,
             image,
             object_mask,

@@ -554,8 +554,7 @@ def export(
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
         _keep_if_unchanged(path, exporter.workspace, BESIDE.get(format, ()))
-        if output is None:
-            exported.note(exporter.workspace, path)
+        exported.note(exporter.workspace, path)
     return path
 
 

@@ -50,7 +50,8 @@ class Options(Sections):
     """Options of a reconstruction.
 
     Every step has a section (`options.height.smoothness`); `fusion` is "refined" (default) or "grid". Sections are given
-    as mappings: ``Options(fusion="grid", height={"smoothness": 0.1})``. Unknown names, wrong types and values out of
+    as mappings: ``Options(fusion="grid", height={"smoothness": 0.1})``. A mapping that is assigned to a section sets the
+    options that it names: ``options.height = {"smoothness": 0.1}``. Unknown names, wrong types and values out of
     range raise `malus.InputError`. `Options.describe()` lists everything with type, default and meaning; editors complete
     sections and options.
     """
@@ -74,12 +75,13 @@ class Options(Sections):
     def update(self, changes: Mapping[str, Any]) -> None:
         """Set several options: ``{"section": {"key": value}}``."""
         merged = json.loads(json.dumps(self._values))
-        for name, value in changes.items():
+        for name, given in changes.items():
+            value = given._options._values[given._name] if isinstance(given, Section) else given
             if isinstance(value, Mapping):
                 changed = {key: _plain(item, f"{name}.{key}") for key, item in value.items()}
                 merged[name] = {**merged.get(name, {}), **changed}
             else:
-                merged[name] = value
+                merged[name] = _plain(value, name)
         self._values = json.loads(_core.check_options(json.dumps(merged)))
 
     def set(self, assignment: str) -> None:
@@ -104,6 +106,13 @@ class Options(Sections):
             raise AttributeError(f"no option section {name}; there are {', '.join(_SCHEMA)}")
         typed: type[Section] = getattr(_option_types, f"{name.title()}Section")
         return typed(self, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # An attribute of another name would be ignored by every run.
+        if name.startswith("_") or name == "fusion":
+            super().__setattr__(name, value)
+        else:
+            self.update({name: value})
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *_SCHEMA]

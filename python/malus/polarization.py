@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares
+from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares, require_noise
 from malus._core import PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -50,6 +50,7 @@ def calibrate(
     noise) and `improvement`: of the squared residuals beyond noise, the share that the calibration removes. Images do not
     determine the polarizer zero (docs/method.md, section 1).
     """
+    require_noise(full_well_e, read_noise_e, frames_averaged)
     stack = as_shares(images, "images")
     return _core.fit_polarizer(
         stack,
@@ -81,9 +82,10 @@ def decompose(
     model (electrons at white, read noise, averaged frames) sets the expected residual. Returns a state with `unpolarized` = s0 / 2,
     `degree`, `phase_rad` in [0, π), `residual` (in expected standard deviations) and `valid` (255 = usable), all H×W, read-only.
     float32 and uint16 images in C order are used without a copy.
-    Raises ValueError for wrong shapes, angles in degrees and intensities of another scale, malus.DataError for fewer than three
-    distinct angles.
+    Raises ValueError for wrong shapes, angles in degrees, intensities of another scale and impossible noise, malus.DataError for
+    fewer than three distinct angles.
     """
+    require_noise(full_well_e, read_noise_e, frames_averaged)
     stack = as_intensities(images, "images")
     fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
     return fit(

@@ -93,7 +93,10 @@ class ProgressView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        return None
+        # The reader of the output has ended (`malus run … --json | head`), and so the run ended before it was done. For a pipe
+        # that is standard error, rich raises SystemExit.
+        if isinstance(error, BrokenPipeError | SystemExit):
+            raise KeyboardInterrupt from None
 
 
 class WarningsOnly(ProgressView):
@@ -167,6 +170,7 @@ class BarProgress(ProgressView):
     ) -> None:
         if self._console.is_terminal:
             self._bar.stop()
+        super().__exit__(kind, error, trace)
 
     def progress(self, step: str, fraction: float, message: str) -> None:
         """Advance the bar of the step and the bar of the whole run."""

@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,8 @@ def reconstruct(
     refused unless `replace` is true. `until` names the last step to run; the steps that it needs run first (see
     malus.workspace.STEPS). `reference` is a PLY cloud or mesh in the world frame to compare the surface with. keep_maps=False
     frees maps that no later step needs. This saves memory; the result then has only the maps of the last step, and the other maps
-    are in the workspace. `progress` and `log` are called from this thread. Ctrl-C stops within a second; files of finished
-    steps stay.
+    are in the workspace. `progress` and `log` are called from this thread. Ctrl-C, or an exception that one of them raises,
+    stops within a second; files of finished steps stay.
 
     A station with [photos] and no [prior] gets its pose and its prior from the photos (malus.photogrammetry, needs the
     program COLMAP or the package pycolmap); progress then has the steps "photos" and "sweep" too. `cameras`: cameras of
@@ -66,7 +67,7 @@ def reconstruct(
 
     Raises malus.InputError, DataError, ExternalError or ResourceError.
     """
-    settings = options or Options()
+    settings = copy(options or Options())  # Result.save needs those of this run, whatever the caller sets afterwards
 
     def report(step: str, fraction: float, message: str) -> None:
         if progress is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_images, as_mask
+from malus._arrays import as_image, as_images, as_mask, require_shares
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import InputError
@@ -130,17 +130,18 @@ class Station:
     ) -> None:
         """Build a station in code.
 
-        images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level. angles_deg:
-        K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with a
-        mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
-        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
-        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
+        images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; digital numbers
+        of any type need polarized={"white_level": …}. angles_deg: K polarizer angles, counter-clockwise from image +x as
+        displayed; "auto" if they are not known; None with a mosaic, which states the angles itself. Give at most one
+        prior: prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera),
+        prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. The polarization maps
+        and the height from them need no prior; everything else does.
         prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object.
         refractive_index None means "auto".
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
         exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
-        Relative file names in them start at the current folder. Wrong shapes raise ValueError. Wrong values raise
+        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError. Wrong values raise
         malus.InputError, whose message names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)
@@ -152,7 +153,7 @@ class Station:
         points, normals = _oriented_points(prior_points, prior_normals)
         depth = None
         if prior_depth is not None:
-            depth = np.ascontiguousarray(prior_depth, dtype=np.float32)
+            depth = as_image(prior_depth, "prior_depth")
             if depth.shape != shape:
                 raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
@@ -179,6 +180,8 @@ class Station:
             prior_depth=depth,
             mask=None if mask is None else as_mask(mask, shape),
         )
+        if (polarized or {}).get("white_level") is None:
+            require_shares(stack, "images", "their polarized.white_level")
 
     @classmethod
     def load(cls, path: str | Path) -> Station:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import runpy
 
 import numpy as np
@@ -114,6 +116,33 @@ def test_options_are_checked() -> None:
     assert all(doc for _, _, _, doc in malus.Options.describe())
 
 
+def test_options_are_set_by_assignment_or_refused() -> None:
+    """Attributes of other names, and mappings that replaced a section, were kept and never used."""
+    options = malus.Options(height={"iterations": 7})
+    options.height = {"smoothness": 0.2}
+    assert (options.height.smoothness, options.height.iterations) == (0.2, 7)
+    assert options.to_dict()["height"]["smoothness"] == 0.2
+    other = malus.Options()
+    other.height = options.height
+    assert other == options
+    with pytest.raises(malus.InputError, match="unknown option section fuson; did you mean fusion"):
+        options.fuson = "grid"
+    with pytest.raises(malus.InputError, match=r"option section height = 3, expected a table"):
+        options.height = 3
+    options.fusion = "grid"
+    assert options.to_dict()["fusion"] == "grid"
+
+
+def test_options_can_be_copied_and_pickled() -> None:
+    options = malus.Options(height={"smoothness": 0.2})
+    for copied in (copy.copy(options), copy.deepcopy(options), pickle.loads(pickle.dumps(options))):
+        assert copied == options
+        copied.height.smoothness = 0.3
+        assert options.height.smoothness == 0.2
+    assert pickle.loads(pickle.dumps(options.height)).smoothness == 0.2
+    assert copy.copy(options.height).smoothness == 0.2
+
+
 def test_option_type_file_matches_the_library() -> None:
     """If this fails, editors suggest options that do not exist: run scripts/option_types.py."""
     script = runpy.run_path(str(ROOT / "scripts/option_types.py"))
@@ -128,6 +157,53 @@ def test_nan_in_a_mask_is_no_object(maps: tuple[np.ndarray, np.ndarray, np.ndarr
     mask[10:20, 10:20] = 1
     state = malus.polarization.decompose(polarized(*maps), ANGLES, mask=mask)
     np.testing.assert_array_equal(np.isfinite(state.degree), np.isfinite(mask))
+
+
+def test_16_bit_images_may_have_any_byte_order(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Readers of big-endian files give '>u2'; these were refused with "expected … uint16"."""
+    counts = [np.rint(65535 * np.clip(image, 0, 1)).astype(np.uint16) for image in polarized(*maps)]
+    expected = malus.polarization.decompose(counts, ANGLES)
+    found = malus.polarization.decompose([image.astype(">u2") for image in counts], ANGLES)
+    np.testing.assert_array_equal(found.degree, expected.degree)
+    np.testing.assert_array_equal(found.valid, expected.valid)
+
+
+def test_nan_does_not_hide_intensities_of_another_scale(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    images = [255 * image for image in polarized(*maps)]
+    images[0][3, 4] = np.nan
+    with pytest.raises(ValueError, match=r"images\[0\] reaches .*expected linear intensities in \[0, 1\]"):
+        malus.polarization.decompose(images, ANGLES)
+
+
+@pytest.mark.parametrize(
+    "noise", [{"full_well_e": 0.0}, {"full_well_e": np.inf}, {"read_noise_e": -1.0}, {"frames_averaged": 0}]
+)
+def test_impossible_noise_is_refused(maps: tuple[np.ndarray, np.ndarray, np.ndarray], noise: dict[str, float]) -> None:
+    """Their variances are infinite or NaN, and every pixel followed the sinusoid."""
+    images, said = polarized(*maps), f"{next(iter(noise))} = .*expected"
+    for call in (malus.polarization.decompose, malus.polarization.calibrate):
+        with pytest.raises(ValueError, match=said):
+            call(images, ANGLES, **noise)
+    with pytest.raises(ValueError, match=said):
+        malus.capture.register(images, **noise)
+
+
+def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Below its mask an array has the file's value for no data, -9999 of a depth map for example."""
+    images = [np.ma.masked_array(image, np.zeros(image.shape, bool)) for image in polarized(*maps)]
+    state = malus.polarization.decompose(images, ANGLES)
+    assert (state.valid == 255).all(), "nothing is masked"
+    images[2][3, 4] = np.ma.masked
+    with pytest.raises(ValueError, match=r"images\[2\] has masked values, expected .*filled"):
+        malus.polarization.decompose(images, ANGLES)
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    depth = np.ma.masked_equal(np.full((40, 50), 100.0), 100.0)
+    with pytest.raises(ValueError, match="prior_depth has masked values"):
+        malus.Station(polarized(*maps), np.degrees(ANGLES), camera, prior_depth=depth)
+    with pytest.raises(ValueError, match="depth has masked values"):
+        malus.prior.project_depth(depth, camera)
+    with pytest.raises(ValueError, match="mask has masked values"):
+        malus.polarization.decompose(polarized(*maps), ANGLES, mask=depth)
 
 
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:

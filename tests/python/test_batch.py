@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -230,6 +231,18 @@ def test_a_stopped_batch_runs_no_further_station(
     assert len(list((tmp_path / "out").glob("done/*.json"))) < 12
 
 
+def test_an_error_of_the_caller_leaves_no_process(tiny_station_source: Path, tmp_path: Path) -> None:
+    """While the error is kept, as notebooks do, the processes went on and held workspaces."""
+    campaign = Campaign.load(campaign_of(tmp_path, tiny_station_source, 3))
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("of the caller")
+
+    with pytest.raises(RuntimeError, match="of the caller") as kept:
+        malus.batch.run_campaign(campaign, tmp_path / "out", threads=1, progress=fail)
+    assert not multiprocessing.active_children(), kept.value
+
+
 def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -> None:
     assert malus.batch.shard_of_environment() is None
     for name, value in (("ID", "5"), ("MIN", "4"), ("COUNT", "3")):
@@ -238,6 +251,32 @@ def test_array_job_takes_its_shard_from_slurm(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "1")
     with pytest.raises(malus.InputError, match="SLURM_ARRAY_TASK_ID"):
         malus.batch.shard_of_environment()
+
+
+def shards_of_array(monkeypatch: pytest.MonkeyPatch, tasks: range | list[int], step: int) -> list[tuple[int, int]]:
+    """The shards of all tasks of an array job, whose environment Slurm sets as here."""
+    said = {"MIN": min(tasks), "MAX": max(tasks), "STEP": step, "COUNT": len(tasks)}
+    shards = []
+    for task in tasks:
+        for name, value in {**said, "ID": task}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
+        shard = malus.batch.shard_of_environment()
+        assert shard is not None
+        shards.append(shard)
+    return shards
+
+
+def test_an_array_job_with_a_step_runs_every_shard(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert shards_of_array(monkeypatch, range(1, 11, 2), 2) == [(k, 5) for k in range(1, 6)]
+    assert shards_of_array(monkeypatch, range(4, 7), 1) == [(k, 3) for k in range(1, 4)]
+    assert shards_of_array(monkeypatch, [7], 1) == [(1, 1)]
+
+
+@pytest.mark.parametrize("tasks", [[1, 3, 7], [0, 1, 3], [3, 7]])
+def test_an_array_job_with_gaps_is_refused(monkeypatch: pytest.MonkeyPatch, tasks: list[int]) -> None:
+    """Otherwise its first tasks ran, and nobody the shards in the gaps."""
+    with pytest.raises(malus.InputError, match=rf"{len(tasks)} tasks from {tasks[0]} to {tasks[-1]}: .*gaps.*--shard"):
+        shards_of_array(monkeypatch, tasks, 1)
 
 
 @pytest.mark.parametrize(
@@ -260,6 +299,13 @@ def test_errors_in_campaign_files_are_explained(
     assert outcome.code == 2
     assert message in outcome.err and str(file) in outcome.err
     assert "Traceback" not in outcome.err
+
+
+@pytest.mark.parametrize("shard", [(0, 2), (3, 2)])
+def test_shards_from_python_are_checked(tiny_station_source: Path, tmp_path: Path, shard: tuple[int, int]) -> None:
+    campaign = Campaign.load(campaign_of(tmp_path, tiny_station_source, 1))
+    with pytest.raises(malus.InputError, match=rf"shard {shard[0]} of 2, expected 1 ≤ i ≤ n"):
+        malus.batch.run_campaign(campaign, tmp_path / "out", shard=shard)
 
 
 @pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--shard", "²/8"], ["--jobs", "0"]])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import html
 import json
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -89,6 +91,28 @@ def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) ->
     *events, last = map(json.loads, capsys.readouterr().out.splitlines())
     assert [event["message"] for event in events] == ["doubtful", "strange", "doubtful"]
     assert last["warnings"] == ["doubtful", "strange"]
+
+
+def unread(*command: str | Path, errors_too: bool = False) -> tuple[int, str | None]:
+    """Exit code and errors of a program whose output, with `errors_too` also that of errors, is a pipe that nobody reads."""
+    kept, closed = os.pipe()
+    os.close(kept)
+    run = subprocess.Popen(command, stdout=closed, stderr=closed if errors_too else subprocess.PIPE, text=True)
+    os.close(closed)
+    _, err = run.communicate(timeout=300)
+    return run.returncode, err
+
+
+def test_a_run_whose_output_nobody_reads_any_more_is_not_done(small_station_source: Path, tmp_path: Path) -> None:
+    """`malus run … --json | head` and `malus run … 2>&1 | head` ended with exit code 0 or 1, whatever the run had done."""
+    command = [sys.executable, "-m", "malus.cli", "decompose", small_station_source / "station.toml", "-o"]
+    said = "malus: interrupted; finished steps are kept and will not be repeated\n"
+    assert unread(*command, tmp_path / "a", "--json") == (130, said)
+    assert unread(*command, tmp_path / "b", errors_too=True) == (130, None)
+    program = Path(os.environ.get("MALUS_STATION", Path(__file__).parents[2] / "build/malus-station"))
+    if program.exists():
+        station = small_station_source / "station.toml"
+        assert unread(program, station, "-o", tmp_path / "c", "--json") == (130, "malus-station: interrupted\n")
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])

@@ -112,6 +112,14 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
             "colors has shape",
         ),
         (
+            lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, camera, colors=np.full((4, 3), 0.5)),
+            "colors has values from 0.5 to 0.5, expected 0 to 255",
+        ),
+        (
+            lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, camera, colors=np.full((4, 3), 40000)),
+            "colors has values from 40000 to 40000, expected 0 to 255",
+        ),
+        (
             lambda state, camera: evidence.check_cloud(np.ones((4, 3)), state, camera, scene=np.zeros((3, 3))),
             "scene has shape",
         ),

@@ -7,6 +7,8 @@ import os
 import shutil
 import struct
 import sys
+import threading
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,8 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exports, scans
+from malus import _core, drawings, exported, exports, scans
+from malus._files import read_record
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
@@ -672,7 +675,8 @@ def test_exports_of_an_earlier_surface_are_reported(
     """Such exports belong to the user and stay. Exports outside of the workspace and removed ones are not reported."""
     work = tmp_path / "work"
     shutil.copytree(finished_grid, work)
-    for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply")):
+    named = work / "export/named.glb"
+    for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply"), ("glb", named)):
         malus.export(work, name, output)
     (work / "export/contours.svg").unlink()
     run = ("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--quiet")
@@ -680,14 +684,37 @@ def test_exports_of_an_earlier_surface_are_reported(
     assert kept.code == 0 and "export" not in kept.err
     changed = malus_here(*run, "--set", "prior.smoothing_px=4")
     told = [line for line in changed.err.splitlines() if "is of an earlier result" in line]
-    assert changed.code == 0 and len(told) == 2, changed.err
-    assert "export/surface.obj" in told[0] + told[1] and "export/surface.stl" in told[0] + told[1]
+    assert changed.code == 0 and len(told) == 3, changed.err
+    assert all(any(f"export/{name}" in line for line in told) for name in ("surface.obj", "surface.stl", "named.glb"))
     assert (work / "export/surface.stl").exists()
     alone = malus_station(*run[1:], "--set", "prior.smoothing_px=4")
     assert alone.code == 0 and [line for line in alone.err.splitlines() if "is of an earlier result" in line] == told
     malus.export(work, "obj")
     again = malus_here(*run, "--set", "prior.smoothing_px=4").err
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again
+
+
+def test_exports_that_end_at_once_are_all_recorded(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, names = tmp_path / "work", {"a.stl", "b.ply", "c.obj"}
+    shutil.copytree(finished_grid, work)
+    (work / "export").mkdir(exist_ok=True)
+
+    def slowly(path: Path) -> dict[str, Any] | None:
+        found = read_record(path)
+        time.sleep(0.2)
+        return found
+
+    monkeypatch.setattr(exported, "read_record", slowly)
+    threads = [
+        threading.Thread(target=exported.note, args=(malus.Workspace(work), work / "export" / name)) for name in names
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(read_record(work / "export/made_from.json") or {}) == names
 
 
 def test_an_export_is_discarded_if_a_run_changes_the_surface_meanwhile(

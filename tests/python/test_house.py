@@ -131,9 +131,50 @@ def test_installed_headers_are_few_and_stand_alone() -> None:
         assert set(included) <= installed.keys(), name
 
 
+def test_the_debian_package_suggests_what_linking_the_library_needs() -> None:
+    """Without one of these find_package(malus) fails. CLI11 is for malus-station only."""
+    suggested = re.search(r'SUGGESTS\s+"([^"]+)"', (ROOT / "cmake/MalusPackage.cmake").read_text(encoding="utf-8"))
+    setup = (ROOT / "scripts/setup.sh").read_text(encoding="utf-8")
+    needed = set(re.findall(r"\blib[\w-]+-dev\b", setup)) - {"libcli11-dev"}
+    assert suggested is not None and set(suggested[1].split(", ")) == needed
+
+
+def test_installed_headers_are_found_wherever_they_are_installed() -> None:
+    install = (ROOT / "cmake/MalusInstall.cmake").read_text(encoding="utf-8")
+    assert "INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}" in install
+    assert "INSTALL_INTERFACE" not in (ROOT / "cpp/malus/CMakeLists.txt").read_text(encoding="utf-8")
+
+
 def test_documents_say_how_many_headers_are_installed() -> None:
     decision = (ROOT / "docs" / "decisions" / "0050-public-surface.md").read_text(encoding="utf-8")
     assert f"{len(installed_headers())} headers" in decision
+
+
+def test_an_environment_whose_making_was_interrupted_is_made_again(tmp_path: Path) -> None:
+    """Its python is there, but no pip: every later call of scripts/demo ended with "No module named pip"."""
+    folder = tmp_path / "with a space"
+    made = folder / ".venv/bin"
+    made.mkdir(parents=True)
+    (folder / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts/setup.sh", folder / "scripts")
+    (made / "python").symlink_to("/bin/true")
+    calls = 'set -euo pipefail; source scripts/setup.sh; /usr/bin/python3() { echo called with "$@"; }; create_environment'
+
+    def said() -> str:
+        return subprocess.run(["bash", "-c", calls], cwd=folder, capture_output=True, text=True, check=True).stdout
+
+    assert "called with -m venv .venv" in said()
+    (made / "pip").symlink_to("/bin/true")
+    assert said() == ""
+
+
+def test_every_file_of_the_package_makes_scripts_build_again() -> None:
+    """A changed glossary was not installed: reports showed the old one."""
+    listed = re.search(r"find (.+?) -type f", (ROOT / "scripts/setup.sh").read_text(encoding="utf-8"))
+    install = (ROOT / "python/bindings/CMakeLists.txt").read_text(encoding="utf-8")
+    installed = re.findall(r"\$\{PROJECT_SOURCE_DIR\}/(\S+?)/? DESTINATION", install)
+    assert listed is not None and {"docs/glossary.md", "examples"} <= set(installed)
+    assert {*installed, "README.md", "LICENSE", "pyproject.toml", "python", "cpp"} <= set(listed[1].split())
 
 
 #: Spellings that are not American, anywhere in a word.

@@ -64,6 +64,15 @@ def test_table_with_exposures(folder: Path) -> None:
     assert content["exposure_s"] == [0.01, 0.04] * 3
 
 
+def test_angles_may_begin_with_a_negative_one(folder: Path) -> None:
+    """argparse takes -45,0,45 for an option: "--angles: expected one argument"."""
+    for number in (1, 2, 3):
+        image(folder / f"IMG_{number:04d}.png")
+    outcome = malus_here("import", folder, "-o", folder / "station.toml", "--angles", "-45,0,45.5")
+    assert outcome.code == 0, outcome.err
+    assert polarized(folder / "station.toml")["angles_deg"] == [-45, 0, 45.5]
+
+
 def test_file_numbers_are_not_taken_for_angles(folder: Path) -> None:
     for number in (123, 124, 125, 9, 10):
         image(folder / f"IMG_{number:04d}.png")

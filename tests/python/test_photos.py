@@ -21,7 +21,7 @@ import pytest
 from PIL import Image
 
 import malus as package
-from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station
+from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
 from malus.photogrammetry import database, photo_cameras, scale, station_pose
@@ -225,6 +225,19 @@ def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
             pass
     with pytest.raises(package.ResourceError, match="No space"), package.photogrammetry.exclusive(tmp_path / "a"):
         raise OSError(28, "No space left on device")
+
+
+def test_a_folder_is_free_again_though_a_forked_child_lives(tmp_path: Path) -> None:
+    script = (
+        "import os, signal, sys; from malus.photogrammetry import exclusive\n"
+        "with exclusive(folder := __import__('pathlib').Path(sys.argv[1])):\n"
+        "    if (child := os.fork()) == 0: signal.pause()\n"
+        "try:\n"
+        "    with exclusive(folder): print('free')\n"
+        "finally: os.kill(child, signal.SIGKILL); os.waitpid(child, 0)\n"
+    )
+    done = run_program(sys.executable, "-c", script, tmp_path / "a")
+    assert done.out == "free\n", done.err
 
 
 def test_unchanged_steps_are_run_once(small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,10 @@ def result(scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.nda
     station = malus.Station(
         images, sensor.angles_deg, scene.camera, prior_depth=scene.depth, name="in memory", frames_averaged=16
     )
-    return malus.reconstruct(station, malus.Options(refine=QUICK))
+    options = malus.Options(refine=QUICK)
+    result = malus.reconstruct(station, options)
+    options.surface.subsample = 3  # of the caller's next run
+    return result
 
 
 def test_result_describes_itself(result: malus.Result, scene: synthetic.Scene) -> None:
@@ -58,6 +61,7 @@ def test_save_writes_what_is_in_memory(result: malus.Result, tmp_path: Path) -> 
     np.testing.assert_array_equal(workspace.raster("prior/sigma.tif"), result.prior_sigma)
     assert workspace.quality["warnings"] == result.warnings
     assert workspace.manifest["warnings"] == result.warnings
+    assert workspace.options() == malus.Options(refine=QUICK), "not those that were set after the run"
 
 
 def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) -> None:
@@ -88,6 +92,14 @@ def test_part_of_a_run(scene: synthetic.Scene, sensor: synthetic.Sensor, images:
     assert "<img" not in part._repr_html_()
 
 
+def test_cameras_are_compared_by_their_numbers(scene: synthetic.Scene, result: malus.Result) -> None:
+    camera = replace(scene.camera, params=tuple(scene.camera.params), rotation=np.array(scene.camera.rotation))
+    assert camera == scene.camera and camera != "camera"
+    assert result.camera is not None and replace(result.camera) == result.camera
+    for other in ({"model": "OPENCV"}, {"width": 7}, {"params": [100.0, 0.0]}, {"translation": [0, 0, 1]}):
+        assert replace(camera, **other) != camera
+
+
 def test_distorted_cameras_are_refused_for_maps(scene: synthetic.Scene) -> None:
     lens = malus.Camera("OPENCV", scene.camera.width, scene.camera.height, [*scene.camera.params, 0.01, 0, 0, 0])
     with pytest.raises(malus.InputError, match=r"OPENCV.*undistorted\(\)"):
@@ -109,6 +121,21 @@ def test_angles_in_degrees_are_refused(images: list[np.ndarray], sensor: synthet
 def test_intensities_above_one_are_refused(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
     with pytest.raises(ValueError, match=r"images\[0\] reaches .*expected linear intensities in \[0, 1\]"):
         malus.polarization.decompose([255 * image for image in images], np.deg2rad(sensor.angles_deg))
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_fewer_threads_than_one_are_refused(
+    images: list[np.ndarray], sensor: synthetic.Sensor, scene: synthetic.Scene, threads: int
+) -> None:
+    """-1, which means all cores elsewhere, gave another surface than 1."""
+    station = malus.Station(images, sensor.angles_deg, scene.camera, prior_depth=scene.depth)
+    said = f"threads = {threads}, expected at least 1"
+    with pytest.raises(malus.InputError, match=said):
+        malus.reconstruct(station, threads=threads)
+    with pytest.raises(malus.InputError, match=said):
+        malus.check(station, threads=threads)
+    with pytest.raises(ValueError, match=said):
+        malus.polarization.decompose(images, np.deg2rad(sensor.angles_deg), threads=threads)
 
 
 def test_all_cores_by_default() -> None:

@@ -207,6 +207,14 @@ def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None
         station.with_curves_of([(60, 0)])
 
 
+def test_digital_numbers_without_their_white_level_are_refused(pictures: list[np.ndarray]) -> None:
+    """They were saturated, and with a dark background the run went on without polarization on the object."""
+    without = {key: value for key, value in WORDS["polarized"].items() if key not in ("white_level", "black_level")}
+    with pytest.raises(ValueError, match=r"images\[0\] reaches \d+, expected linear .* or their polarized.white_level"):
+        in_memory(pictures, polarized=without)
+    in_memory([picture / np.float32(255) for picture in pictures], polarized=without)
+
+
 def test_labels_are_of_the_image_as_taken(pictures: list[np.ndarray], tmp_path: Path) -> None:
     labels = np.full(SIZE, 2, np.uint8)
     labels[:, :10] = 1

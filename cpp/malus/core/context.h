@@ -22,8 +22,8 @@ enum class LogLevel { debug, info, warning };
 /// How a computation runs: threads, progress, cancellation, log. Passed to every function that takes long; never
 /// global. Callbacks may come from any thread, but never from two at once for one Context.
 struct Context {
-  /// Threads for our loops, OpenCV, BLAS, Ceres and child programs. Results do not depend on the number beyond
-  /// rounding.
+  /// Threads for our loops, OpenCV, BLAS, Ceres and child programs, at least 1. Results do not depend on the number
+  /// beyond rounding.
   int threads = 1;
   std::uint64_t seed = 0;
   std::function<void(const Progress&)> on_progress;
@@ -36,6 +36,10 @@ struct Context {
   }
   void log(LogLevel level, const std::string& message) const {
     if (on_log) on_log(level, message);
+  }
+  /// Throws ErrorCode::input for fewer threads than one: some of the libraries would compute nothing.
+  void validate() const {
+    if (threads < 1) throw input_error("threads = " + std::to_string(threads) + ", expected at least 1");
   }
   bool cancelled() const { return cancel != nullptr && cancel->load(std::memory_order_relaxed); }
   /// Throws ErrorCode::interrupted if the user asked to stop. Called at least every half second of work.

@@ -42,7 +42,11 @@ class FolderLock {
                         " is in use by another run; wait for it, or choose another folder");
     }
   }
-  ~FolderLock() { ::close(descriptor_); }
+  ~FolderLock() {
+    // Closing alone leaves the folder locked while a child that was forked meanwhile has the file open, too.
+    ::flock(descriptor_, LOCK_UN);
+    ::close(descriptor_);
+  }
   FolderLock(const FolderLock&) = delete;
   FolderLock& operator=(const FolderLock&) = delete;
 

@@ -167,6 +167,7 @@ void warn_of_memory(Plan& plan) {
 std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
                                          const std::optional<std::string>& until, const std::optional<Size>& known_size,
                                          const Context& context) {
+  context.validate();
   const Size size = known_size ? *known_size : captured_size(station);
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, size, pixels_on(captured_object(station, size)) / 1e6, context.threads};
@@ -177,6 +178,7 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
 }
 
 Plan check_station(const Station& station, const Options& options, const Context& context) {
+  context.validate();
   Plan plan;
   plan.name = station.file.name;
   plan.size = captured_size(station);

@@ -7,11 +7,16 @@
 namespace malus {
 
 Size captured_size(const Station& station) {
-  return station.in_memory() ? station.images.front().size() : read_image_size(station.file.polarized.images.front());
+  if (station.in_memory()) return station.images.front().size();
+  if (station.file.polarized.images.empty()) throw input_error("no polarized images");
+  return read_image_size(station.file.polarized.images.front());
 }
 
 Mask captured_object(const Station& station, Size size) {
-  if (station.mask) return *station.mask;
+  if (station.mask) {
+    require_size(*station.mask, size, "mask");
+    return *station.mask;
+  }
   if (!station.file.polarized.mask) return Mask(size, 1, 255);
   Mask mask = read_mask(*station.file.polarized.mask);
   require_size(mask, size, station.file.polarized.mask->string());

@@ -55,6 +55,7 @@ std::vector<StepDescription> describe_run(const Options& options, const std::opt
 
 Results reconstruct(const Station& station, const Options& options, const RunOptions& run, const Context& context) {
   options.validate();
+  context.validate();
   if (run.until) require_step(*run.until);
   std::vector<const Step*> steps = steps_of_run(step_table(), station, options, run.until);
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);

@@ -27,7 +27,11 @@ def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
                 raise InputError(
                     f"{folder} is in use by another process; wait for it, or choose another folder"
                 ) from None
-            yield
+            try:
+                yield
+            finally:
+                # Closing alone leaves the folder locked while a child that was forked meanwhile has the file open, too.
+                fcntl.flock(lock, fcntl.LOCK_UN)
     except MalusError:
         raise
     except OSError as error:

@@ -1,6 +1,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
@@ -234,6 +235,21 @@ TEST(Workspace, LockEndsWithTheProcess) {
   ASSERT_EQ(::waitpid(child, &status, 0), child);
   EXPECT_EQ(status, 0);
   const Workspace workspace(folder.path(), owner, false);
+}
+
+TEST(Workspace, LockEndsThoughAForkedChildLives) {
+  const TemporaryFolder folder;
+  pid_t child = -1;
+  {
+    const Workspace workspace(folder.path(), owner, false);
+    child = ::fork();
+    if (child == 0) {
+      for (;;) ::pause();  // as a worker process that another thread of the program started
+    }
+  }
+  EXPECT_NO_THROW(Workspace(folder.path(), owner, false));
+  ::kill(child, SIGKILL);
+  EXPECT_EQ(::waitpid(child, nullptr, 0), child);
 }
 
 TEST(Workspace, DamagedManifestSaysWhatToDo) {

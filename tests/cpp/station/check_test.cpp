@@ -5,6 +5,7 @@
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
+#include "malus/station/reconstruct.h"
 #include "thrown_error.h"
 
 namespace malus {
@@ -30,6 +31,32 @@ PointCloud cloud_of(const Station& station) {
   for (int v = 0; v < pinhole.size.height; ++v)
     for (int u = 0; u < pinhole.size.width; ++u) cloud.points.push_back(100 * pinhole.ray(u, v));
   return cloud;
+}
+
+/// Ceres refuses such a number, and a reflection fit by which nothing was fitted passed for one.
+TEST(Threads, FewerThanOneAreRefused) {
+  Context context;
+  for (const int threads : {0, -1}) {
+    context.threads = threads;
+    const std::string said = "threads = " + std::to_string(threads) + ", expected at least 1";
+    expect_error(
+        ErrorCode::input, [&] { reconstruct(scaled_station(), Options(), RunOptions(), context); }, said);
+    expect_error(
+        ErrorCode::input, [&] { check_station(scaled_station(), Options(), context); }, said);
+    expect_error(
+        ErrorCode::input, [&] { expected_times(scaled_station(), Options(), {}, {}, context); }, said);
+  }
+}
+
+/// A program that embeds the library can make such stations; files and Python's arrays are checked before.
+TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
+  Station station = scaled_station();
+  station.mask = Mask({7, 30}, 1, 255);
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "mask is 7 x 30", "40 x 30");
+  station.images.clear();
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "no polarized images");
 }
 
 TEST(CheckPicture, ShowsThePriorScaledToKnownDistances) {
