@@ -7,6 +7,7 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/io/angles_of_names_internal.h"
+#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/resection_internal.h"
@@ -51,7 +52,7 @@ void bind_io(py::module_& module) {
     return {to_array<double>(mesh.vertices.points), to_array<std::uint32_t>(mesh.triangles)};
   });
   module.def("read_oriented_points", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
-    const PointCloud cloud = read_point_cloud(path, {}, "prior.cloud");
+    const PointCloud cloud = read_cloud(path);
     if (cloud.normals.empty()) return {to_array<double>(cloud.points), py::none()};
     std::vector<Eigen::Vector3d> units;
     for (const Eigen::Vector3f& normal : cloud.normals) units.push_back(normal.cast<double>().normalized());
@@ -66,6 +67,8 @@ void bind_io(py::module_& module) {
   });
   module.def("read_intensity",
              [](const std::string& path) { return computed(1, [&](const Context&) { return read_intensity(path); }); });
+  module.def("read_mask",
+             [](const std::string& path) { return computed(1, [&](const Context&) { return read_mask(path); }); });
   module.def("image_size", [](const std::string& path) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);

@@ -22,7 +22,7 @@ WORDS = {
     },
     "sweep": {
         "views": "photos used",
-        "masks": "photos with a mask",
+        "masks": "images with a mask",
         "completeness": "part of the object where a depth was found [%]",
         "highlights": "part of the object left out because it shines [%]",
         "score": "agreement of the photos, median (1 = alike)",

@@ -131,8 +131,11 @@ def _result(outcome: dict[str, Any], name: str, workspace: str | Path | None, sa
     )
 
 
-def unpolarized_scene(station: Station, options: Options, workspace: Path, threads: int) -> NDArray[np.float32]:
-    """Unpolarized intensity of a station's whole image, object and background (H×W, linear, undistorted).
+def unpolarized_scene(
+    station: Station, options: Options, workspace: Path, threads: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Unpolarized intensity of a station's whole image, object and background (H×W, linear, undistorted), and where the object is by
+    the mask (H×W, non-zero = object; everywhere without a mask).
 
     The polarization step is written to `workspace`, which must not be the workspace of a run. The station's lens must be known.
     Raises the errors of `reconstruct`.
@@ -142,7 +145,7 @@ def unpolarized_scene(station: Station, options: Options, workspace: Path, threa
     outcome = _core.reconstruct(
         core, options.to_json(), str(workspace), True, "polarization", None, True, None, threads, None, None
     )
-    return np.asarray(outcome["scene"], np.float32)
+    return np.asarray(outcome["scene"], np.float32), np.asarray(outcome["valid"], np.uint8)
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:

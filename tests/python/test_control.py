@@ -169,6 +169,11 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     np.testing.assert_allclose(datum["rotation"], turn, atol=1e-5)
 
     move_model(EXAMPLE / "sparse", tmp_path / "moved", datum)
+    # A station of another shard may be reading what another run writes again.
+    before = {path.name: path.stat().st_ino for path in (tmp_path / "moved").iterdir()}
+    move_model(EXAMPLE / "sparse", tmp_path / "moved", datum)
+    assert {path.name: path.stat().st_ino for path in (tmp_path / "moved").iterdir()} == before and before
+    assert [path.name for path in tmp_path.iterdir()] == ["moved"]
     moved = {name: image.camera for name, image in SparseModel.read(tmp_path / "moved").images.items()}
     for entry in entries:
         for mark in entry["marks"]:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from conftest import demo_with_photos, edit, half_written, malus_here, needs_distributed
+from conftest import EXAMPLE, demo_with_photos, edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
-from malus import DataError, InputError, Options, Progress, Station, reconstruct
+from malus import Camera, DataError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
 from malus.object import (
     Object,
@@ -55,8 +56,11 @@ from malus.object.run import _warnings as object_warnings
 from malus.object.run import find_frame, is_closed
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import LEAST_COSINE, stored
+from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
+from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
-from malus.photogrammetry.shared_frame import load_cameras
+from malus.photogrammetry.shared_frame import load_cameras, save_cameras
+from malus.photogrammetry.station_pose import StationView
 from malus.reconstruction import expected_times
 from view_scale import drawn_mm, pixel_mm, turning_view
 
@@ -747,6 +751,137 @@ def photographed(pair: Path, tmp_path: Path) -> Path:
     return pair
 
 
+@pytest.fixture
+def turning(photographed: Path) -> Path:
+    """The photographed pair on a turntable, all photos and stations with masks."""
+    edit(photographed, "closed = false", "closed = false\nturntable = true")
+    (photographed.parent / "masks").mkdir()
+    for number in range(3):
+        Image.new("L", (96, 64), 255).save(photographed.parent / f"masks/{number}.png")
+    for k in range(2):
+        station = photographed.parent / f"o{k}/station.toml"
+        edit(station, 'folder = "../views"', 'folder = "../views"\nmasks = "../masks"')
+        edit(station, "[polarized]\n", '[polarized]\nmask = "mask.png"\n')
+        Image.new("L", (200, 160), 255).save(photographed.parent / f"o{k}/mask.png")
+    return photographed
+
+
+def test_a_turntable_has_masks(turning: Path) -> None:
+    thing = Object.load(turning)
+    assert thing.turntable and thing.unmasked() == []
+    (turning.parent / "masks/1.png").unlink()
+    edit(turning.parent / "o1/station.toml", 'mask = "mask.png"\n', "")
+    photos, stations = Object.load(turning).unmasked()
+    assert photos.startswith("turntable: without a mask are 1 of 3 photos (1.png): what stands still")
+    assert stations.startswith("turntable: without a mask are 1 of 2 stations (") and "o1/station.toml" in stations
+    edit(turning.parent / "o0/station.toml", 'mask = "mask.png"\n', "")
+    with pytest.raises(InputError, match=r"object.toml: object.turntable = true needs masks of the stations"):
+        Object.load(turning)
+    for k in range(2):
+        edit(turning.parent / f"o{k}/station.toml", '\nmasks = "../masks"', "")
+    with pytest.raises(InputError, match=r"object.toml: object.turntable = true needs masks of the photos"):
+        Object.load(turning)
+    assert Object.load(edit(turning, "turntable = true", "turntable = false")).unmasked() == []
+
+
+def test_a_turntable_has_photos(pair: Path) -> None:
+    with pytest.raises(InputError, match=r"object.toml: object.turntable = true needs \[photos\]"):
+        Object.load(edit(pair, "closed = false", "turntable = true"))
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_check_says_which_masks_a_turntable_lacks(turning: Path) -> None:
+    (turning.parent / "masks/1.png").unlink()
+    outcome = malus_here("check", turning, "--threads", "1")
+    assert outcome.code == 0, outcome.err
+    assert "warning: turntable: without a mask are 1 of 3 photos (1.png)" in outcome.out.replace("\n", " ")
+
+
+@pytest.mark.parametrize("turntable", [True, False])
+def test_masks_of_stations_on_a_turntable_reach_the_search_for_cameras(
+    turning: Path, monkeypatch: pytest.MonkeyPatch, turntable: bool
+) -> None:
+    given: list[Any] = []
+
+    def find(*_: Any, outlines: Any, **__: Any) -> dict[str, StationCameras]:
+        given.append(outlines)
+        return {}
+
+    def scene(*_: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        return np.ones((160, 200), np.float32), np.full((160, 200), 255, np.uint8)
+
+    monkeypatch.setattr(object_run, "find_object_cameras", find)
+    monkeypatch.setattr(object_run, "unpolarized_scene", scene)
+    monkeypatch.setattr(object_run, "_begin", lambda *_: None)
+    edit(turning.parent / "o1/station.toml", 'mask = "mask.png"\n', "")
+    if not turntable:
+        edit(turning, "turntable = true", "turntable = false")
+    frame = find_frame(Object.load(turning), turning.parent / "out", 1, lambda *_: None)
+    if turntable:
+        assert list(given[0]) == ["o0"] and given[0]["o0"].file == turning.parent / "o0/mask.png"
+        assert given[0]["o0"].mask.shape == (160, 200)
+    else:
+        assert given == [None]
+    assert len(frame.warnings) == turntable
+    # No station was placed: each ends with that reason, and not the program.
+    for name in ("o0", "o1"):
+        with pytest.raises(DataError, match=f"{name} could not be placed among the photos"):
+            load_cameras(frame.cameras / f"{name}.json")
+
+
+@pytest.mark.parametrize("turntable", [True, False])
+def test_outlines_of_the_other_stations_are_silhouettes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turntable: bool
+) -> None:
+    """Of three stations the second has no mask; their lens has distortion, which the masks, as taken, have too."""
+    lens = Camera("SIMPLE_RADIAL", 12, 8, [20.0, 5.5, 3.5, 0.1])
+    masks = {name: tmp_path / f"{name}.png" for name in "ac"}
+    outlines = {name: Outline(np.full((8, 12), 255, np.uint8), path) for name, path in masks.items()}
+    seen: dict[str, StationView] = {}
+
+    def place(bench: Bench, photos: Any, solved: Any, views: dict[str, StationView], said: Any) -> Any:
+        seen.update(views)
+        assert bench.inside_masks == turntable
+        images = {
+            image: RegisteredImage(Camera("PINHOLE", 12, 8, [20, 20, 5.5, 3.5], translation=[k, 0, 0]), (), 50, 50)
+            for k, image in enumerate(views)
+        }
+        model = SparseModel(images, np.zeros((0, 3)), np.zeros(0), np.zeros(0, int))
+        placed = SimpleNamespace(has=lambda _: True, matches={image: {} for image in views}, model=model)
+        return placed, model, {"photogrammetry": {}, "scale": None}
+
+    monkeypatch.setattr(front_end, "_solved", lambda *_: ([], None))
+    monkeypatch.setattr(front_end, "_placed_and_scaled", place)
+    monkeypatch.setattr(front_end, "Colmap", lambda *_: SimpleNamespace(title="", threads=1, peak_mb=0.0))
+    found = front_end.find_object_cameras(
+        {}, {name: (lens, np.ones((8, 12), np.float32)) for name in "abc"}, tmp_path / "work",
+        outlines=outlines if turntable else None, options=Options(), threads=1, progress=print, log=print,
+    )  # fmt: skip
+    assert [view.mask is not None for view in seen.values()] == [turntable, False, turntable]
+    told = {name: [mask for _, mask, _ in cameras.silhouettes] for name, cameras in found.items()}
+    assert told == ({"a": [masks["c"]], "b": [masks["a"], masks["c"]], "c": [masks["a"]]} if turntable else
+                    {"a": [], "b": [], "c": []})  # fmt: skip
+    if turntable:
+        ((_, _, camera),) = found["a"].silhouettes
+        assert (camera.model, list(camera.params)) == ("SIMPLE_RADIAL", list(lens.params))
+        np.testing.assert_array_equal(camera.pose()[1], [2, 0, 0])
+
+
+def test_silhouettes_are_kept_with_the_cameras_of_a_station(tmp_path: Path) -> None:
+    model, mask = tmp_path / "model", tmp_path / "mask.png"
+    shutil.copytree(EXAMPLE / "sparse", model)
+    Image.new("L", (12, 8), 255).save(mask)
+    camera = Camera("SIMPLE_RADIAL", 12, 8, [20.0, 5.5, 3.5, 0.1], translation=[1, 2, 3])
+    kept = StationCameras(camera, [], SparseModel.read(model), {}, {}, silhouettes=[("other", mask, camera)])
+    save_cameras(tmp_path / "a.json", kept, model)
+    ((name, path, read),) = load_cameras(tmp_path / "a.json").silhouettes
+    assert (name, path, read.model, list(read.params)) == ("other", mask, camera.model, list(camera.params))
+    np.testing.assert_array_equal(read.pose()[1], [1, 2, 3])
+    Image.new("L", (12, 8), 0).save(mask)
+    with pytest.raises(InputError, match=r"mask.png was changed since its camera was found"):
+        load_cameras(tmp_path / "a.json")
+
+
 def in_stations(object_file: Path, text: str, number: int | None = None) -> None:
     """Put tables at the end of the stations' files, or of one's."""
     for k in range(2) if number is None else [number]:
@@ -888,6 +1023,86 @@ def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, n
     with pytest.raises(InputError) as caught:
         Object.load(photographed)
     assert expected in str(caught.value)
+
+
+def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_others(pair: Path) -> None:
+    (pair.parent / "views").mkdir()
+    station = pair.parent / "o1/station.toml"
+    edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
+         'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+    edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
+    with pytest.raises(
+        InputError, match=r"o1/station.toml: has no \[prior\], so that its frame is that of its own photos"
+    ):
+        Object.load(pair)
+    in_stations(pair, point(), 1)
+    assert Object.load(pair).shared is None
+
+
+def test_only_one_station_may_stand_in_its_cameras_frame(pair: Path) -> None:
+    for k in range(2):
+        station = pair.parent / f"o{k}/station.toml"
+        (pair.parent / f"o{k}/depth.tif").touch()
+        edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
+             'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+        edit(station, 'cloud = "dense/cloud.ply"', 'depth = "depth.tif"')
+    with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has no pose, like that of .*o0/station.toml"):
+        Object.load(pair)
+    edit(pair.parent / "o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
+    assert Object.load(pair).shared is None
+
+
+def scaled_by(distance: float) -> str:
+    return f"\n[[scale]]\ndistance = {distance}\na_xyz = [0, 0, 0]\nb_xyz = [10, 0, 0]\n"
+
+
+def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    edit(pair.parent / "o1/station.toml", "dense/cloud.ply", "../o0/dense/cloud.ply")
+    manifest = {"steps": {"prior": {"notes": {"noise": 0.1}}}}
+    monkeypatch.setattr(object_run, "Workspace", lambda _: SimpleNamespace(manifest=manifest))
+
+    def cloud() -> OrientedPoints:
+        thing = Object.load(pair)
+        files = [{"station": path.parent.name, "file": str(path)} for path in thing.campaign.stations]
+        (found,) = object_run._clouds(thing, files, pair.parent)
+        return found
+
+    given = cloud()
+    in_stations(pair, scaled_by(20))
+    found = cloud()
+    np.testing.assert_allclose(found.points, 2 * given.points, rtol=1e-12)
+    np.testing.assert_array_equal(found.normals, given.normals)
+
+
+def test_stations_that_scale_one_cloud_differently_are_refused(pair: Path) -> None:
+    edit(pair.parent / "o1/station.toml", "dense/cloud.ply", "../o0/dense/cloud.ply")
+    in_stations(pair, scaled_by(20), 0)
+    with pytest.raises(InputError, match=r"o1/station.toml: its \[\[scale\]\] make .*cloud.ply 1 times .* 2 times"):
+        Object.load(pair)
+    in_stations(pair, scaled_by(20), 1)
+    Object.load(pair)
+
+
+def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> None:
+    (tmp_path / "sparse").mkdir()
+    (tmp_path / "sparse/cameras.txt").write_text("1 PINHOLE 6 4 10 10 3 2\n")
+    (tmp_path / "sparse/images.txt").write_text("1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    (tmp_path / "sparse/points3D.txt").write_text("")
+    for kind, values in (("depth", np.full((4, 6), 5.0)), ("normal", np.tile([[[0.0]], [[0]], [[-2]]], (1, 4, 6)))):
+        folder = tmp_path / f"stereo/{kind}_maps"
+        folder.mkdir(parents=True)
+        channels = 1 if values.ndim == 2 else 3
+        (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
+    points, normals = object_run._read_cloud(tmp_path, "mm")
+    assert points.shape == (24, 3) and normals is not None
+    np.testing.assert_allclose(points[:, 2], 5)
+    np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)
+
+
+def test_stations_none_of_which_is_sure_enough_are_no_surface(views: list[View]) -> None:
+    nothing, _ = combine([replace(view, usable=np.zeros_like(view.usable)) for view in views])
+    with pytest.raises(DataError, match=r"no station has a surface that is sure enough.*object.max_sigma_gsd"):
+        next(pieces(nothing, CELL))
 
 
 def test_points_too_few_for_a_surface(tmp_path: Path) -> None:

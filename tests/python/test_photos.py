@@ -6,11 +6,13 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
 import zipfile
 from collections.abc import Callable
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +26,8 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, photo_cameras, scale, station_pose
+from malus.photogrammetry import database, diagnosis, photo_cameras, scale, station_pose
+from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
@@ -407,6 +410,63 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(package.InputError, match="has no mask of any photo, expected for example a.jpg.png"):
         photos_of({**said, "masks": str(empty), "exclude": ["*.png"]})
+
+
+def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
+    """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
+    file = tmp_path / "features.db"
+    keypoints = np.array([[0.9, 0.9], [1.1, 0.9], [2.5, 1.5], [4.0, 2.0]], np.float32)
+    points = np.hstack([keypoints, np.ones((4, 4), np.float32)])
+    descriptors = np.repeat(np.arange(4, dtype=np.uint8), 128).reshape(4, 128)
+    with closing(sqlite3.connect(file)) as base, base:
+        base.executescript(
+            "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
+            "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+            "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        )
+        for number, name in enumerate(("view%201.jpg", "other.jpg", "plain.jpg"), 1):
+            some = 4 if number < 3 else 0
+            base.execute("INSERT INTO images VALUES (?, ?, 1)", (number, name))
+            base.execute("INSERT INTO keypoints VALUES (?, ?, 6, ?)", (number, some, points[:some].tobytes()))
+            base.execute("INSERT INTO descriptors VALUES (?, ?, 128, ?)", (number, some, descriptors[:some].tobytes()))
+    mask = np.zeros((2, 4), np.uint8)
+    mask[0, 1] = mask[1, 3] = 255
+    for name in ("view 1.jpg", "plain.jpg", "none.jpg"):
+        database.keep_features(file, name, mask)
+    assert database.feature_counts(file) == {"view 1.jpg": 2, "other.jpg": 4, "plain.jpg": 0}
+    kept = database.read_descriptors(file)
+    assert kept["view 1.jpg"][:, 0].tolist() == [1, 3] and len(kept["other.jpg"]) == 4
+    with closing(sqlite3.connect(file)) as base:
+        (data,) = base.execute("SELECT data FROM keypoints WHERE image_id = 1").fetchone()
+    np.testing.assert_array_equal(np.frombuffer(data, np.float32).reshape(2, 6), points[[1, 3]])
+    database.keep_features(file, "other.jpg", np.zeros((2, 4), np.uint8))
+    assert database.feature_counts(file)["other.jpg"] == 0
+
+
+@pytest.mark.parametrize("turntable", [True, False])
+def test_masks_hide_the_background_on_a_turntable_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turntable: bool
+) -> None:
+    photos = []
+    for name in ("a.png", "b.png"):
+        _core.write_png(str(tmp_path / name), np.full((8, 12), 255, np.uint8))
+        photos.append(Photo(name, tmp_path / name, 12, 8, mask=tmp_path / name if name == "a.png" else None))
+    hidden: list[tuple[str, int]] = []
+    monkeypatch.setattr(Bench, "extract_features", lambda *_: None)
+    monkeypatch.setattr(database, "keep_features", lambda _, name, mask: hidden.append((name, int((mask != 0).sum()))))
+    monkeypatch.setattr(database, "feature_counts", lambda _: {"a.png": 300, "b.png": 300})
+    journal = Journal(tmp_path, print)
+    bench = Bench(None, tmp_path, journal, package.Options(), print, print, turntable)  # type: ignore[arg-type]
+    photo_cameras._find_features(bench, photo_cameras.group_by_camera(photos, None))
+    assert hidden == ([("a.png", 96)] if turntable else [])
+    assert list(photo_cameras._masks(bench, photos)) == (["masks"] if turntable else [])
+
+
+def test_a_turntable_with_few_features_is_not_told_to_put_texture_around_the_object() -> None:
+    with pytest.raises(package.DataError, match="only features inside the masks count on a turntable"):
+        diagnosis.check_features({"a": 3, "b": 4}, print, inside_masks=True)
+    with pytest.raises(package.DataError, match="place texture around the object"):
+        diagnosis.check_features({"a": 3, "b": 4}, print)
 
 
 def test_masks_beside_the_photos_or_above_them_are_no_photos(tmp_path: Path) -> None:

@@ -201,20 +201,22 @@ def ball_seen(camera: malus.Camera) -> np.ndarray:
         return np.asarray((b - np.sqrt(b**2 - a * c)) / a)
 
 
-@pytest.mark.parametrize("masked", [True, False])
-def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path: Path, masked: bool) -> None:
-    """A ball of one gray, which no window finds again."""
-    station, photos = camera_at((0, 0, 0)), []
+@pytest.mark.parametrize("masked", ["photos", "silhouettes", ""])
+def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path: Path, masked: str) -> None:
+    """A ball of one gray, which no window finds again. Its outlines are those of the photos, or of stations that turned with them."""
+    station, photos, silhouettes = camera_at((0, 0, 0)), [], []
     for k in range(24):
         turn, up = 2 * np.pi * k / 8 + 0.2, (0, 120, -120)[k % 3]
         camera = camera_at((280 * np.cos(turn), up, DISTANCE + 280 * np.sin(turn)))
         image, mask = tmp_path / f"photo_{k}.tif", tmp_path / f"photo_{k}.png"
         _core.write_tiff16(str(image), np.full((HEIGHT, WIDTH), 30000, np.uint16))
         _core.write_png(str(mask), np.where(np.isfinite(ball_seen(camera)), np.uint8(255), np.uint8(0)))
-        photos.append((Photo(image.name, image, WIDTH, HEIGHT, mask=mask if masked else None), camera))
+        photos.append((Photo(image.name, image, WIDTH, HEIGHT, mask=mask if masked == "photos" else None), camera))
+        if masked == "silhouettes":
+            silhouettes.append((image.name, mask, camera))
     truth = ball_seen(station)
     nothing = SparseModel({}, np.zeros((0, 3)), np.zeros(0), np.zeros(0, int))
-    cameras = StationCameras(station, photos, nothing, {}, {})
+    cameras = StationCameras(station, photos, nothing, {}, {}, silhouettes=silhouettes)
     told: list[str] = []
 
     def swept() -> front_end.Swept:
@@ -232,6 +234,7 @@ def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path
     assert not np.isfinite(first.depth).any()
     assert any("visual hull" in message for message in told)
     assert first.hull is not None and again.hull is not None
+    assert first.hull.figures["masks"] == 24 and "photo_3.tif" in first.hull.figures["mask_files"]
     np.testing.assert_array_equal(first.hull.depth, again.hull.depth)
     off = np.abs(first.hull.depth - truth)[np.isfinite(truth)]
     assert np.isfinite(off).mean() > 0.95

@@ -71,6 +71,7 @@ std::string describe_station_json(const Station& station) {
   json.update(fields_to_json(file.optics));
   json.update(describe_prior(station));
   if (file.prior_sigma) json["prior_sigma"] = *file.prior_sigma;
+  json["prior_scale"] = file.prior_scale;
   if (!file.path.empty()) json["path"] = file.path.string();
   json["files"] = fields_to_json(files_of(file));
   if (file.camera) {

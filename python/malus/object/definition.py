@@ -15,16 +15,23 @@ from malus.campaign import Campaign, options_of, read_tables, stations_of, value
 from malus.errors import InputError
 from malus.object.reference import Reference
 from malus.options import Options
+from malus.photogrammetry.diagnosis import listed
+from malus.photogrammetry.photos import photos_of
 from malus.reconstruction import check
 from malus.station import Station
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
-    "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces", "reference", "register"),
-}
+    "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces", "reference", "register",
+               "turntable"),
+}  # fmt: skip
 #: Triangles of the textured mesh.
 _FACES = 20000.0
 _LEAST_FACES, _MOST_FACES = 100, 10**9
+#: Any of these keys of [camera] gives a pose.
+_POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
+#: Scales of one cloud that differ by less, relatively, are rounding.
+_SAME_SCALE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,9 @@ class Object:
 
     closed: the mesh has no holes; areas that no station sees are guessed and marked. Otherwise these areas stay open, and so do areas
     whose standard deviation exceeds max_sigma_gsd GSD. faces: most triangles, about, of the textured mesh (object/mesh.glb). reference:
-    a scan to compare the mesh with; register: the scan is in another frame and is first registered to the mesh.
+    a scan to compare the mesh with; register: the scan is in another frame and is first registered to the mesh. turntable: the object
+    turned while its surroundings stood still. It is then found by what lies inside the masks of photos and stations, and these masks show
+    all of it.
     """
 
     campaign: Campaign
@@ -45,6 +54,7 @@ class Object:
     register: bool = True
     shared: Mapping[str, Any] | None = None
     """`photos`, `scale` and `control` that all stations share, as in `Station.describe`; None if the stations are already in one frame."""
+    turntable: bool = False
 
     @property
     def name(self) -> str:
@@ -56,9 +66,10 @@ class Object:
         """Read an object file; InputError names file, field, value and what was expected.
 
         [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (the same for
-        all stations), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference` and `register`. [options] takes the same settings as
-        `--options`. All stations must be in one frame. Either their poses are from one COLMAP model or in the same coordinates; or the
-        object file has [photos] and [[scale]] or [[control]], as in a station file, and all stations are found among these photos.
+        all stations), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference`, `register` and `turntable`. [options] takes the same
+        settings as `--options`. All stations must be in one frame. Either their poses are from one COLMAP model or in the same
+        coordinates; or the object file has [photos] and [[scale]] or [[control]], as in a station file, and all stations are found among
+        these photos.
         """
         file = Path(path)
         content = read_tables(file, _KEYS)
@@ -80,16 +91,36 @@ class Object:
         unit = _common_unit(file, stations, value("unit", ""))
         shared = _shared(file, content, stations)
         _require_one_frame(stations, from_photos=shared is not None)
+        turntable = value("turntable", False)
+        if turntable:
+            _require_masks(file, stations, shared)
         reference = _reference(file, value("reference", ""), given="reference" in table)
         if reference is None and "register" in table:
             raise InputError(f"{file}: object.register needs object.reference, the scan that is to be registered")
         return Object(
-            campaign, unit, value("closed", False), limit, int(faces), reference, value("register", True), shared
-        )
+            campaign, unit, value("closed", False), limit, int(faces), reference, value("register", True), shared, turntable
+        )  # fmt: skip
 
     def read_reference(self) -> Reference | None:
         """The scan to compare with, if there is one; InputError if it cannot be read."""
         return None if self.reference is None else Reference.read(self.reference, self.unit)
+
+    def unmasked(self) -> list[str]:
+        """Warnings about photos and stations of a turntable that have no mask; none for other objects."""
+        if not self.turntable or self.shared is None:
+            return []
+        masked = {
+            "photos": {photo.name: photo.mask is not None for photo in photos_of(self.shared["photos"])},
+            "stations": {str(path): _has_mask(Station.load(path).describe()) for path in self.campaign.stations},
+        }
+        warnings = []
+        for what, known in masked.items():
+            if without := [name for name, has_mask in known.items() if not has_mask]:
+                warnings.append(
+                    f"turntable: without a mask are {len(without)} of {len(known)} {what} ({listed(without)}): what stands still "
+                    "behind the object can pull them to a wrong place; give them masks, or leave them out"
+                )
+        return warnings
 
     def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
         """The result of `malus.check` for each station; the first one includes the processing of the shared photos."""
@@ -103,7 +134,7 @@ class Object:
             description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
             photos = photogrammetry.plan(description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"])
             plans[0]["does"][1:1] = photos.photos
-            plans[0]["warnings"] += photos.warnings
+            plans[0]["warnings"] += [*photos.warnings, *self.unmasked()]
             plans[0]["seconds"] += photos.finding.seconds
             plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)
         return plans
@@ -137,8 +168,35 @@ def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expecte
     return expected
 
 
+def _has_mask(station: Mapping[str, Any]) -> bool:
+    return station["mask"] is not None
+
+
+def _require_masks(file: Path, stations: Mapping[Path, Mapping[str, Any]], shared: Mapping[str, Any] | None) -> None:
+    """InputError unless a turntable's stations are found among photos, and photos and stations have masks: without masks the
+    surroundings, which do not turn, place all images as if nothing had turned.
+    """
+    if shared is None:
+        raise InputError(
+            f"{file}: object.turntable = true needs [photos], among which the stations are found; stations with given poses are in "
+            "the object's frame already, expected them without it"
+        )
+    if shared["photos"]["masks"] is None:
+        raise InputError(
+            f"{file}: object.turntable = true needs masks of the photos: what stands still behind the object would place them as if "
+            "nothing had turned; expected [photos] masks, a folder with a mask for every photo"
+        )
+    if not any(map(_has_mask, stations.values())):
+        raise InputError(
+            f"{file}: object.turntable = true needs masks of the stations: what stands still behind the object would place them as if "
+            "nothing had turned; expected [polarized] mask in every station file"
+        )
+
+
 def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photos: bool) -> None:
-    """InputError unless every station has a [camera]; or, if photos give pose and prior, has a lens without pose and prior."""
+    """InputError unless every station has a [camera]; or, if photos give pose and prior, has a lens without pose and prior. Stations
+    whose own file says nothing about the others' frame are errors, too.
+    """
     for path, station in stations.items():
         camera = station.get("camera")
         if not from_photos and camera is None:
@@ -154,6 +212,45 @@ def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photo
         if from_photos and station["prior"] != "photos":
             raise InputError(
                 f"{path}: has a [prior], or no [photos]; expected [photos] alone, as in the other stations of the object"
+            )
+        marked = any(point["marks"] for point in station["control"])
+        if not from_photos and station["prior"] == "photos" and not marked:
+            raise InputError(
+                f"{path}: has no [prior], so that its frame is that of its own photos; expected pose and [prior] in the frame of the "
+                "other stations of the object, or [[control]] points with marks in the photos"
+            )
+    _require_poses(stations)
+    _require_one_scale(stations)
+
+
+def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+    """InputError if more than one station takes its camera's frame for the world's, as it may with a depth map or a shape as prior."""
+    without = [
+        path
+        for path, station in stations.items()
+        if station["prior"] not in ("cloud", "mesh", "photos", "none")
+        and not station["control"]
+        and not any(key in read_toml(path).get("camera", {}) for key in _POSE_KEYS)
+    ]
+    if len(without) > 1:
+        raise InputError(
+            f"{without[1]}: [camera] has no pose, like that of {without[0]}, so that each stands in a frame of its own; expected qvec "
+            "and tvec, or omega_phi_kappa_deg and center, in one frame for all stations of the object"
+        )
+
+
+def _require_one_scale(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+    """InputError if known distances scale a cloud or a mesh that several stations share differently: their frames differ then."""
+    known: dict[str, tuple[Path, float]] = {}
+    for path, station in stations.items():
+        source = station.get("prior_cloud") or station.get("prior_mesh")
+        if source is None:
+            continue
+        first, scale = known.setdefault(source, (path, station["prior_scale"]))
+        if abs(station["prior_scale"] / scale - 1) > _SAME_SCALE:
+            raise InputError(
+                f"{path}: its [[scale]] make {source} {station['prior_scale']:.6g} times as large, those of {first} "
+                f"{scale:.6g} times; expected the same [[scale]] in all stations of the object"
             )
 
 

@@ -117,9 +117,15 @@ def distance_field(
 def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Iterator[Piece]:
     """The surface through the points on a lattice of this cell size, one piece for each block, x ascending; `joined_mesh` joins them.
 
-    Vertices on the side between two blocks are in both pieces. DataError if the points spread over more than MOST_CELLS cells.
+    Vertices on the side between two blocks are in both pieces. DataError if there are no points, or if they spread over more than
+    MOST_CELLS cells.
     """
     measure = extra("skimage.measure", "scikit-image", "the surface of an object", "object")
+    if not len(points.points):
+        raise DataError(
+            "no station has a surface that is sure enough for the mesh; object.max_sigma_gsd says how sure it must be, and the reports "
+            "of the stations say why it is not"
+        )
     across = float((points.points.max(0) - points.points.min(0)).max()) / cell
     if across + 2 * (_BESIDE_CELLS + BLOCK_CELLS) > MOST_CELLS:
         raise DataError(

@@ -34,7 +34,7 @@ from malus.object.ply import write_ply
 from malus.object.reference import Comparison
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import Floats, View, load_view, sees, stored
-from malus.photogrammetry import exclusive, find_object_cameras
+from malus.photogrammetry import Outline, exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
@@ -123,24 +123,28 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
     assert thing.shared is not None
     folder, options = output / "photogrammetry", thing.campaign.options
     kept = folder / "stations"
-    warnings: list[str] = []
+    warnings = thing.unmasked()
     tasks = thing.campaign.tasks(output, threads, kept)
     with exclusive(folder, wait=True):
         kept.mkdir(exist_ok=True)
         views = {}
+        outlines = {}
         for count, task in enumerate(tasks):
             say("photos", 0.3 * count / len(tasks), f"polarization of {task.identifier}")
             station, begun = Station.load(task.station), folder / "polarization" / task.identifier
             try:
-                scene = unpolarized_scene(station, options, begun, threads)
-                views[task.identifier] = (camera_of(station.describe()["camera"]), scene)
+                scene, mask = unpolarized_scene(station, options, begun, threads)
+                said = station.describe()
+                views[task.identifier] = (camera_of(said["camera"]), scene)
+                if said["mask"] is not None:
+                    outlines[task.identifier] = Outline(mask, Path(said["mask"]))
                 _begin(task.workspace, begun)
             except MalusError as error:
                 save_failure(Path(task.cameras), error)
         if not views:
             return Frame(kept, {}, warnings)
         found = find_object_cameras(
-            thing.shared, views, folder, options=options, threads=threads,
+            thing.shared, views, folder, outlines=outlines if thing.turntable else None, options=options, threads=threads,
             log=lambda level, text: warnings.append(text) if level == "warning" else None,
             progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
         )  # fmt: skip
@@ -156,6 +160,8 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
                         "and check that [camera] is the polarized images' own calibration"
                     ),
                 )
+    if not found:
+        return Frame(kept, {}, warnings)
     figures = {name: cameras.figures["photogrammetry"]["station"] for name, cameras in found.items()}
     whole = next(iter(found.values())).figures
     return Frame(
@@ -298,24 +304,26 @@ def _simpler(
 
 
 def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[OrientedPoints]:
-    """The stations' clouds that have normals, without duplicates."""
+    """The stations' clouds that have normals, without duplicates, as large as known distances make them."""
     parts = []
-    clouds: dict[str, str] = {}
+    clouds: dict[str, tuple[str, float]] = {}
     for outcome in done:
-        cloud = Station.load(outcome["file"]).describe().get("prior_cloud")
-        if cloud is not None:
-            clouds.setdefault(cloud, outcome["station"])
-    for cloud, station in clouds.items():
+        said = Station.load(outcome["file"]).describe()
+        if "prior_cloud" in said:
+            clouds.setdefault(said["prior_cloud"], (outcome["station"], said["prior_scale"]))
+    for cloud, (station, scale) in clouds.items():
         points, normals = _read_cloud(Path(cloud), thing.unit)
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
         if normals is not None:
             count = len(points)
-            parts.append(OrientedPoints(points, normals, np.full(count, float(noise)), np.zeros(count, np.int64)))
+            parts.append(
+                OrientedPoints(scale * points, normals, np.full(count, float(noise)), np.zeros(count, np.int64))
+            )
     return parts
 
 
 def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
-    """Points and unit normals of a station's cloud."""
+    """Points and unit normals of a station's cloud, a file or a workspace of COLMAP's dense stereo."""
     if scans.is_scan(path):
         points, normals = scans.read_scan(path, unit)
         return points, None if normals is None else normals.astype(np.float64)

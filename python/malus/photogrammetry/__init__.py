@@ -8,6 +8,7 @@ COLMAP (Debian's 3.8, or pycolmap 4.2 or later) finds the cameras in a child pro
 from malus.photogrammetry.folder import exclusive
 from malus.photogrammetry.front_end import (
     FusedOnce,
+    Outline,
     StationCameras,
     Swept,
     find_cameras,
@@ -21,6 +22,7 @@ from malus.photogrammetry.plan import plan
 
 __all__ = [
     "FusedOnce",
+    "Outline",
     "Photo",
     "RegisteredImage",
     "SparseModel",

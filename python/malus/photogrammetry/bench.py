@@ -56,6 +56,8 @@ class Bench:
     """Receives the finished share of the whole work, and the name of the current step."""
     log: Callable[[str, str], None]
     """Receives a level (info, warning) and a message."""
+    inside_masks: bool = False
+    """Whether features count only inside masks, because what surrounds the object does not move with it."""
 
     @property
     def images(self) -> Path:

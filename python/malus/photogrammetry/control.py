@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from malus import _core
+from malus._files import scratch_folder
 from malus.camera import Camera
 from malus.errors import InputError
 from malus.photogrammetry.scale import Log
@@ -89,8 +91,14 @@ def _warn(datum: Mapping[str, Any], known: Sequence[Any], log: Log) -> None:
 
 
 def move_model(source: Path, target: Path, datum: Mapping[str, Any]) -> None:
-    """Copy a COLMAP model into the frame of a datum: `scale`, `rotation`, `translation`."""
+    """Copy a COLMAP model into the frame of a datum: `scale`, `rotation`, `translation`. Files of the target that would not change stay,
+    since stations of another shard may be reading them.
+    """
     model = _core.ColmapModel.read(str(source))
     model.transform(float(datum["scale"]), np.array(datum["rotation"]), np.array(datum["translation"]))
     target.mkdir(parents=True, exist_ok=True)
-    model.write(str(target))
+    with scratch_folder(target) as written:
+        model.write(str(written))
+        for file in sorted(written.iterdir()):
+            if not ((target / file.name).is_file() and filecmp.cmp(file, target / file.name, shallow=False)):
+                file.replace(target / file.name)

@@ -74,6 +74,31 @@ def read_descriptors(database: Path) -> dict[str, NDArray[np.uint8]]:
         return {name: found.get(name, np.empty((0, 128), np.uint8)) for name in names.values()}
 
 
+def keep_features(database: Path, image: str, mask: NDArray[np.uint8]) -> None:
+    """Remove the features of an image that lie outside a mask (H×W of the image's size, non-zero = inside)."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        found = connection.execute(
+            "SELECT image_id, keypoints.cols, keypoints.data, descriptors.cols, descriptors.data FROM images "
+            "JOIN keypoints USING (image_id) JOIN descriptors USING (image_id) WHERE name = ?",
+            (quoted(image),),
+        ).fetchone()
+        if found is None or not found[2]:
+            return
+        number, columns, points, length, descriptors = found
+        keypoints = np.frombuffer(points, "<f4").reshape(-1, columns)
+        height, width = mask.shape
+        # In COLMAP's coordinates the first pixel reaches from 0 to 1.
+        u, v = (np.clip(keypoints[:, k].astype(np.int64), 0, side - 1) for k, side in ((0, width), (1, height)))
+        inside = mask[v, u] != 0
+        for table, kept in (
+            ("keypoints", keypoints[inside]),
+            ("descriptors", np.frombuffer(descriptors, np.uint8).reshape(-1, length)[inside]),
+        ):
+            connection.execute(
+                f"UPDATE {table} SET rows = ?, data = ? WHERE image_id = ?", (len(kept), kept.tobytes(), number)
+            )
+
+
 def write_matches(database: Path, pairs: Sequence[tuple[str, str]], matches: Sequence[NDArray[np.uint32]]) -> None:
     """Store the matches (K×2 indices of features) of pairs of images, for COLMAP to verify."""
     with closing(sqlite3.connect(database)) as connection, connection:

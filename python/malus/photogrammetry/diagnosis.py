@@ -21,6 +21,11 @@ _OVERLAP = (
     "surround a shiny or plain object with texture (newspaper, a printed pattern)"
 )
 
+_MORE_INSIDE = (
+    "only features inside the masks count on a turntable: come closer and use sharp, well exposed photos, or let the object stand "
+    "on textured ground and move the camera about it"
+)
+
 
 def listed(names: Sequence[str]) -> str:
     """Names for a message, at most _LISTED of them and the number of the others."""
@@ -36,13 +41,14 @@ def too_few_photos(count: int, expected: int) -> str:
     )
 
 
-def check_features(counts: Mapping[str, int], log: Log) -> None:
-    """Warn of photos with few features; DataError if fewer than two photos have enough."""
+def check_features(counts: Mapping[str, int], log: Log, *, inside_masks: bool = False) -> None:
+    """Warn of photos with few features; DataError if fewer than two photos have enough. inside_masks: others do not count."""
     few = [name for name, count in counts.items() if count < FEW_FEATURES]
     if len(counts) - len(few) < 2:
         raise DataError(
             f"[photos]: {len(few)} of {len(counts)} photos have fewer than {FEW_FEATURES} features ({listed(few)}): they "
-            "are blurred, dark or show plain surfaces; place texture around the object and use sharp, well exposed photos"
+            "are blurred, dark or show plain surfaces; "
+            + (_MORE_INSIDE if inside_masks else "place texture around the object and use sharp, well exposed photos")
         )
     if few:
         log("warning", f"few features in {listed(few)}: blurred, dark or plain; these photos may stay without position")

@@ -60,6 +60,18 @@ class StationCameras:
     """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
     warnings: list[str] = field(default_factory=list)
     """Warnings from the joint search for the cameras of several stations, for this station's report."""
+    silhouettes: list[tuple[str, Path, Camera]] = field(default_factory=list)
+    """Outlines of the object beside those of `photos`: image name, mask, and camera of the image that the mask belongs to."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A station's mask, which shows all of the object that is in view."""
+
+    mask: NDArray[np.uint8]
+    """H×W of the undistorted image, non-zero = object."""
+    file: Path
+    """The mask of the images as taken."""
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:
@@ -112,6 +124,7 @@ def find_object_cameras(
     stations: Mapping[str, tuple[Camera, NDArray[np.float32]]],
     folder: Path,
     *,
+    outlines: Mapping[str, Outline] | None = None,
     options: Options,
     threads: int,
     progress: Report,
@@ -120,20 +133,30 @@ def find_object_cameras(
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
     shared: `path`, `photos`, `scale` and `control` as in `Station.describe`. stations: lens and H×W unpolarized intensity, undistorted.
-    Stations that cannot be placed are left out. For each station, the images of the other stations count as photos. Raises the errors of
-    `find_cameras`.
+    Stations that cannot be placed are left out. For each station, the images of the other stations count as photos. outlines: of an
+    object that turned before a fixed camera, by the names of the stations that have a mask. Features then count only inside the masks of
+    photos and stations, and the stations' outlines are silhouettes as those of the photos are. Raises the errors of `find_cameras`.
     """
-    bench = _bench(folder, options, threads, progress, log)
+    bench = _bench(folder, options, threads, progress, log, inside_masks=outlines is not None)
+    outlines = outlines or {}
     photos, solved = _solved(bench, shared)
     images = {name: station_image(number) for number, name in enumerate(stations)}
     views = {
-        images[name]: StationView(unpolarized, lens_of_raster(lens)) for name, (lens, unpolarized) in stations.items()
+        images[name]: StationView(
+            unpolarized, lens_of_raster(lens), mask=outlines[name].mask if name in outlines else None
+        )
+        for name, (lens, unpolarized) in stations.items()
     }
     placed, model, figures = _placed_and_scaled(bench, photos, solved, views, shared)
     pictures = list(photos)
     for image, view in views.items():
         height, width = view.unpolarized.shape
         pictures.append(Photo(image, bench.images / image, width, height))
+    silhouettes = {
+        name: (images[name], outline.file, _placed_at(stations[name][0], model.images[images[name]].camera))
+        for name, outline in outlines.items()
+        if placed.has(images[name])
+    }
     found = {}
     for name, image in images.items():
         if placed.has(image):
@@ -150,15 +173,23 @@ def find_object_cameras(
                 model=model,
                 figures={**figures, "photogrammetry": own},
                 times=_times(bench.journal),
+                silhouettes=[silhouette for other, silhouette in silhouettes.items() if other != name],
             )
     return found
 
 
-def _bench(folder: Path, options: Options, threads: int, progress: Report, log: Log) -> Bench:
+def _placed_at(lens: Camera, camera: Camera) -> Camera:
+    """The lens of the images as taken, with the pose of another camera."""
+    return replace(lens, rotation=camera.rotation, translation=camera.translation)
+
+
+def _bench(
+    folder: Path, options: Options, threads: int, progress: Report, log: Log, *, inside_masks: bool = False
+) -> Bench:
     folder.mkdir(parents=True, exist_ok=True)
     colmap = Colmap(threads, options.photos.backend)
     journal = Journal(folder, log, colmap)
-    return Bench(colmap, folder, journal, options, progress, journal.log)
+    return Bench(colmap, folder, journal, options, progress, journal.log, inside_masks)
 
 
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
@@ -305,7 +336,7 @@ class Hull:
     sigma: NDArray[np.float32]
     """One standard deviation of depth."""
     figures: dict[str, Any]
-    """`masks`: how many; `mask_files`: their SHA-256, by the photos' names."""
+    """`masks`: how many; `mask_files`: their SHA-256, by the images' names."""
 
 
 @dataclass(frozen=True)
@@ -371,19 +402,16 @@ class _Sweep:
     journal: Journal
 
     def hull(self) -> Hull | None:
-        """The photos' visual hull, or None without masks."""
-        masked = [(photo, photo.mask, camera) for photo, camera in self.cameras.photos if photo.mask is not None]
+        """The visual hull of all outlines, or None without masks."""
+        masked = [(photo.name, photo.mask, camera) for photo, camera in self.cameras.photos if photo.mask is not None]
+        masked += self.cameras.silhouettes
         if not masked:
             return None
-
-        def name_of(photo: Photo) -> str:
-            return f"mask of {photo.name}"
-
-        hashes = self.journal.watch({name_of(photo): mask for photo, mask, _ in masked})
+        hashes = self.journal.watch({f"mask of {name}": mask for name, mask, _ in masked})
         silhouettes = [(str(mask), camera.values()) for _, mask, camera in masked]
         inputs = {
             "view": repr(self.view.values()),
-            "masks": [[photo.name, hashes[name_of(photo)]] for photo, _, _ in masked],
+            "masks": [[name, hashes[f"mask of {name}"]] for name, _, _ in masked],
             "cameras": repr([camera for _, camera in silhouettes]),
             "object": hashlib.sha256(self.mask.tobytes()).hexdigest(),
         }
@@ -396,7 +424,7 @@ class _Sweep:
             self._write(_HULL, rasters)
             return {
                 "masks": len(silhouettes),
-                "mask_files": {photo.name: hashes[name_of(photo)] for photo, _, _ in masked},
+                "mask_files": {name: hashes[f"mask of {name}"] for name, _, _ in masked},
             }
 
         figures = self.journal.stage("hull", inputs, _HULL, found)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from malus import _core
 from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
@@ -113,11 +114,12 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
             "groups": [[group.reader(), [photo.name for photo in group.photos]] for group in groups],
             "max_features": options.max_features,
             "max_side_px": options.max_side_px,
+            **_masks(bench, photos),
         },
         ["features.db"],
         lambda: _find_features(bench, groups),
     )
-    diagnosis.check_features(features["counts"], bench.log)
+    diagnosis.check_features(features["counts"], bench.log, inside_masks=bench.inside_masks)
     names = [photo.name for photo in photos]
     pairs, mapping = _connect(bench, groups, names, sparing=False)
     sparing = False
@@ -204,10 +206,19 @@ def _copy(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
     return {}
 
 
+def _masks(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
+    """Hashes of the masks, if features depend on them."""
+    masks = {f"mask of {photo.name}": photo.mask for photo in photos if photo.mask is not None}
+    return {"masks": bench.journal.watch(masks)} if bench.inside_masks else {}
+
+
 def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any]:
     target = bench.folder / "features.db"
     for group in groups:
         bench.extract_features("features", target, [photo.name for photo in group.photos], group.reader())
+        for photo in group.photos:
+            if bench.inside_masks and photo.mask is not None:
+                database.keep_features(target, photo.name, _core.read_mask(str(photo.mask)))
     counts = database.feature_counts(target)
     return {"counts": {photo.name: counts.get(photo.name, 0) for group in groups for photo in group.photos}}
 

@@ -32,6 +32,10 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
             }
             for photo, camera in cameras.photos
         ],
+        "silhouettes": [
+            {"name": name, "path": str(mask.resolve()), "sha256": sha256_of(mask), "camera": _described(camera)}
+            for name, mask, camera in cameras.silhouettes
+        ],
         "figures": cameras.figures,
         "times": cameras.times,
         "warnings": cameras.warnings,
@@ -47,8 +51,9 @@ def save_failure(file: Path, error: MalusError) -> None:
 def content_of(file: Path) -> str:
     """SHA-256 of the cameras in a file, without the paths of model and photos and without the times; of an empty record without a file."""
     content = read_record(file) or {}
-    photos = [{**said, "path": "", "mask": ""} for said in content.get("photos", ())]
-    said = {key: value for key, value in content.items() if key not in ("model", "times")} | {"photos": photos}
+    said = {key: value for key, value in content.items() if key not in ("model", "times")}
+    for images in ("photos", "silhouettes"):
+        said[images] = [{**image, "path": "", "mask": ""} for image in content.get(images, ())]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
@@ -66,12 +71,14 @@ def load_cameras(file: Path) -> StationCameras:
         raise InputError(f"{model} was changed since the cameras were found; run the object again")
     photos = []
     for said in content["photos"]:
-        for file_of, digest in (("path", "sha256"), ("mask", "mask_sha256")):
-            if said[file_of] is not None and sha256_of(Path(said[file_of])) != said[digest]:
-                raise InputError(f"{said[file_of]} was changed since its camera was found; run the object again")
+        _require_unchanged(said["path"], said["sha256"])
+        if said["mask"] is not None:
+            _require_unchanged(said["mask"], said["mask_sha256"])
         camera = Camera(**said["camera"])
         mask = None if said["mask"] is None else Path(said["mask"])
         photos.append((Photo(said["name"], Path(said["path"]), camera.width, camera.height, mask=mask), camera))
+    for said in content["silhouettes"]:
+        _require_unchanged(said["path"], said["sha256"])
     return StationCameras(
         station=Camera(**content["station"]),
         photos=photos,
@@ -79,7 +86,13 @@ def load_cameras(file: Path) -> StationCameras:
         figures=content["figures"],
         times=content["times"],
         warnings=content["warnings"],
+        silhouettes=[(said["name"], Path(said["path"]), Camera(**said["camera"])) for said in content["silhouettes"]],
     )
+
+
+def _require_unchanged(path: str, digest: str) -> None:
+    if sha256_of(Path(path)) != digest:
+        raise InputError(f"{path} was changed since its camera was found; run the object again")
 
 
 def _digests(model: Path) -> list[str]:

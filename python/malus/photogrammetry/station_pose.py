@@ -39,6 +39,8 @@ class StationView:
     """Lens of the undistorted image; None = the lens is unknown, and the image is not undistorted."""
     shared_with: str | None = None
     """If the lens is unknown: name of a photo with the same camera, lens and focal length."""
+    mask: NDArray[np.uint8] | None = None
+    """H×W, features outside of it (zero) do not count; None = all count."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, St
                 "image": hashlib.sha256(pixels[image].tobytes()).hexdigest(),
                 "lens": None if view.lens is None else [view.lens.model, *map(float, view.lens.params)],
                 "shared_with": view.shared_with,
+                **({} if view.mask is None else {"mask": hashlib.sha256((view.mask != 0).tobytes()).hexdigest()}),
             }
             for image, view in stations.items()
         },
@@ -96,6 +99,8 @@ def _place(
     for image, view in stations.items():
         _core.write_png(str(bench.images / image), pixels[image])
         bench.extract_features("station", source, [image], _reader(view, source, pixels[image].shape))
+        if view.mask is not None:
+            database.keep_features(source, image, view.mask)
     matches = _match(bench, source, photos, list(stations))
     best = max(matches.values(), key=lambda found: max(found.values(), default=0))
     failure = DataError(diagnosis.station_not_registered(best, bench.options.photos.min_inliers))
