@@ -7,6 +7,7 @@ import os
 import shutil
 import struct
 import sys
+import tracemalloc
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exports, scans
+from malus.object import arrays
 from malus.trust import said_of
 from malus.xmp import NAMESPACE
 
@@ -130,6 +132,36 @@ def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.
     np.testing.assert_allclose(mesh.visual.uv[:, 0], (camera.fx * x / z + camera.cx + 0.5) / 200, atol=1e-4)
 
 
+def test_obj_names_its_files_without_spaces(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """Readers that take a space for the end of a name (tinyobjloader and what is built on it) found no texture."""
+    path = malus.export(workspace.folder, "obj", tmp_path / "Stone  of 1907.v2.obj")
+    beside = {"Stone_of_1907.v2.mtl", "Stone_of_1907.v2.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {path.name, *beside}
+    assert "\nmtllib Stone_of_1907.v2.mtl\n" in path.read_text(encoding="utf-8")
+    assert "\nmap_Kd Stone_of_1907.v2.png\n" in (tmp_path / "Stone_of_1907.v2.mtl").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("format", ["obj", "stl"])
+def test_large_meshes_are_written_in_parts(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    """At 100 megapixels, copies of all triangles took 15 GB (OBJ) and more than 40 GB (STL) beside the mesh."""
+    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    mesh = exporter.mesh()
+    monkeypatch.setattr(exports.Exporter, "simplified", lambda *_: mesh)
+    whole, parts = (tmp_path / name / f"a.{format}" for name in ("whole", "parts"))
+    write(exporter, whole, wishes)
+    monkeypatch.setattr(arrays, "CHUNK", 1000)
+    tracemalloc.start()
+    try:
+        write(exporter, parts, wishes)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert parts.read_bytes() == whole.read_bytes()
+    assert most < 0.5 * parts.stat().st_size
+
+
 def test_cloudcompare_opens_meshes_and_measures_between_them(
     workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
 ) -> None:
@@ -223,6 +255,9 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255
+    # As the specification requires for point format 7: converters to COPC refuse files without this bit.
+    assert cloud.header.global_encoding.wkt
+    assert cloud.header.number_of_points_by_return[0] == cloud.header.point_count == len(cloud.xyz)
     # Read by LASzip: point format 7, laid out by its specification.
     laszip = pytest.importorskip("laszip")
     names = "x y z intensity returns flags kind user angle source time red green blue sigma nx ny nz".split()
@@ -238,6 +273,7 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
         reader.close()
     read = np.stack([records[axis] for axis in "xyz"], -1) * scale + offset
     np.testing.assert_allclose(read, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
+    assert (records["returns"] == 0x11).all()  # the first of one
     np.testing.assert_array_equal(records["sigma"], cloud.sigma)
     np.testing.assert_array_equal(records["green"], cloud.green)
 
@@ -277,8 +313,13 @@ def test_e57_far_from_the_origin_has_a_pose(
     monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
     path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
     file = library.E57(str(path))
-    scan = file.read_scan(0, ignore_missing_fields=True)
+    scan, stored = file.read_scan(0, ignore_missing_fields=True), file.read_scan_raw(0)
+    header = file.get_header(0)
+    bounds = [[getattr(header, f"{axis}{end}imum") for axis in "xyz"] for end in ("Min", "Max")]
     file.close()
+    # The standard states the bounds in the frame of the stored points; those of the world were half a country beside them.
+    local = np.stack([stored[f"cartesian{axis}"] for axis in "XYZ"], -1)
+    np.testing.assert_allclose(bounds, [local.min(0), local.max(0)], atol=1e-6)
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000 - far
     np.testing.assert_allclose(xyz, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
     # As a prior it lies where it was.
@@ -423,6 +464,7 @@ def test_meshes_and_clouds_name_object_and_license(
     with laspy.open(malus.export(workspace.folder, "las", tmp_path / "a.las")) as file:
         (record,) = [vlr for vlr in file.header.vlrs if vlr.user_id == "LASF_Spec" and vlr.record_id == 3]
     assert set(told) <= set(record.record_data.decode().splitlines())
+    assert record.record_data.endswith(b"\0")
 
 
 def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Path) -> None:
