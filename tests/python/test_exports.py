@@ -23,7 +23,7 @@ from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exports, scans
 from malus.object import arrays
 from malus.trust import said_of
-from malus.xmp import NAMESPACE
+from malus.xmp import NAMESPACE, srgb_profile
 
 
 @pytest.fixture(scope="module")
@@ -500,6 +500,17 @@ def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Pa
         assert set(of_the_surface(workspace)) <= {f"{key}: {value}" for key, value in surface.items()}
         terms = next(root.iter("{http://ns.adobe.com/xap/1.0/rights/}UsageTerms"))
         assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
+
+
+def test_the_color_profile_does_not_depend_on_the_time() -> None:
+    """PNG and JPEG files of two equal exports differed by the date in their profile."""
+    import io
+
+    from PIL import ImageCms
+
+    profile = srgb_profile()
+    assert struct.unpack(">6H", profile[24:36]) == (2000, 1, 1, 0, 0, 0)
+    assert "sRGB" in ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))
 
 
 def dxf_lines_of_gdal(path: Path) -> list[np.ndarray]:
