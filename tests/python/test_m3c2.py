@@ -81,7 +81,7 @@ def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
         spread = m3c2.spread_out(place[::step, ::step].astype(float), step, place.shape)
         assert spread.shape == place.shape and spread.dtype == np.float32
         off = (spread - place)[:-step, :-step]
-        assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 0.6
+        assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 1
 
 
 def test_m3c2_without_a_reference_is_refused(small_station: Path, tmp_path: Path) -> None:
