@@ -26,7 +26,7 @@ from malus.colmap_export import write_colmap_workspace
 from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
-from malus.object.arrays import chunks
+from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
@@ -133,10 +133,14 @@ class Exporter:
         x, y, z = np.moveaxis(points @ self.rotation.T + self.translation, -1, 0)
         return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
 
+    @cached_property
+    def _known_normals(self) -> NDArray[np.float32]:
+        """Fused normals, H×W×3, camera frame, 0 where none is known."""
+        return np.nan_to_num(self.surface.normals)
+
     def world_normals(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Fused unit normals at world points (…×3) of the surface, world frame."""
-        normals = np.nan_to_num(self.surface.normals.astype(float))
-        normal = sample(normals, self.pixels(points)) @ self.rotation
+        normal = sample(self._known_normals, self.pixels(points)) @ self.rotation
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         # Where no normal is known, use the direction towards the camera.
         unit: NDArray[np.float32] = np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(
@@ -230,7 +234,7 @@ def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(said.encode("ascii", "replace")[:80].ljust(80))
         file.write(np.uint32(len(mesh.triangles)).tobytes())
         # In parts, because all facets of 100 megapixels would take many times the mesh's memory.
-        for rows in chunks(len(mesh.triangles)):
+        for rows in arrays.chunks(len(mesh.triangles)):
             file.write(_facets(mesh.vertices[mesh.triangles[rows]]).tobytes())
 
 
@@ -254,12 +258,21 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
         )
 
 
+def _bands(raster: NDArray[np.bool_]) -> list[slice]:
+    """Slices of a raster's rows, some at a time: places and colors of all pixels of 100 megapixels would take tens of GB."""
+    count, width = raster.shape
+    rows = max(1, arrays.CHUNK // width)
+    return [slice(top, min(top + rows, count)) for top in range(0, count, rows)]
+
+
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
-    colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
-    picture[known, :3] = np.rint(colors)
+    photograph = exporter.picture()
+    for rows in _bands(known):
+        places = dem.points(rows)[known[rows]]
+        picture[rows][known[rows], :3] = np.rint(sample(photograph, exporter.pixels(places)))
     picture[known, 3] = 255
     per_meter = 1 / (dem.pixel * METERS[exporter.unit])
     save_png(path, picture, exporter.xmp(), dpi=per_meter * 0.0254)
@@ -347,14 +360,14 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         # To a thousandth of a pixel, also far from the origin, as in a national grid.
         places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
         # In parts, because copies of all rows of 100 megapixels would take many times the mesh's memory.
-        for rows in chunks(len(mesh.vertices)):
+        for rows in arrays.chunks(len(mesh.vertices)):
             np.savetxt(file, mesh.vertices[rows], " ".join(["v", *[f"%.{places}f"] * 3]))
-        for rows in chunks(len(mesh.vertices)):
+        for rows in arrays.chunks(len(mesh.vertices)):
             np.savetxt(file, exporter.texture_coordinates(mesh.vertices[rows]), "vt %.7f %.7f")
-        for rows in chunks(len(mesh.vertices)):
+        for rows in arrays.chunks(len(mesh.vertices)):
             np.savetxt(file, mesh.normals[rows], "vn %.5f %.5f %.5f")
         file.write("usemtl photograph\n")
-        for rows in chunks(len(mesh.triangles)):
+        for rows in arrays.chunks(len(mesh.triangles)):
             # Indices in OBJ files start at 1.
             corners = np.repeat(mesh.triangles[rows].astype(np.int64) + 1, 3, axis=1)
             np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
@@ -375,12 +388,13 @@ def _write_exr(exporter: Exporter, path: Path, channels: dict[str, NDArray[np.fl
 
 def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
-    points = dem.points()
     known = np.isfinite(dem.elevation)
     normals = np.zeros((*dem.elevation.shape, 3), np.float32)
     normals[..., 2] = 1
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
-    normals[known] = exporter.world_normals(points[known]) @ frame
+    for rows in _bands(known):
+        places = dem.points(rows)[known[rows]]
+        normals[rows][known[rows]] = exporter.world_normals(places) @ frame
     if path.suffix.lower() == ".exr":
         _write_exr(exporter, path, {"RGB": normals})
         return

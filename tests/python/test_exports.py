@@ -22,6 +22,7 @@ from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exports, scans
 from malus.object import arrays
+from malus.rti import write_ptm
 from malus.trust import said_of
 from malus.xmp import NAMESPACE, srgb_profile
 
@@ -160,6 +161,32 @@ def test_large_meshes_are_written_in_parts(
         tracemalloc.stop()
     assert parts.read_bytes() == whole.read_bytes()
     assert most < 0.5 * parts.stat().st_size
+
+
+@pytest.mark.parametrize("format", ["orthophoto", "normal-map"])
+def test_large_maps_are_computed_in_parts(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    """At 100 megapixels, the places of all pixels and what was seen there took tens of GB."""
+    from PIL import Image
+
+    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    dem = exporter.dem()
+    monkeypatch.setattr(exports.Exporter, "dem", lambda _: dem)
+    write(exporter, tmp_path / "whole.png", wishes)
+    monkeypatch.setattr(arrays, "CHUNK", 1000)
+    tracemalloc.start()
+    try:
+        write(exporter, tmp_path / "parts.png", wishes)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 80 * dem.elevation.size
+    read = {"orthophoto": lambda path: np.asarray(Image.open(path)), "normal-map": sixteen_bits}[format]
+    whole, parts = (read(tmp_path / f"{name}.png").astype(int) for name in ("whole", "parts"))
+    assert np.abs(whole - parts).max() <= 1  # by rounding
+    rows = slice(20, 33)
+    np.testing.assert_array_equal(dem.points(rows), dem.points()[rows])
 
 
 def test_cloudcompare_opens_meshes_and_measures_between_them(
@@ -662,6 +689,23 @@ def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
     assert raw.size == 9 * count
     coefficients = (raw[: 6 * count].reshape(*shape, 6)[::-1] - bias) * scale
     return coefficients, raw[6 * count :].reshape(*shape, 3)[::-1]
+
+
+def test_a_large_ptm_is_written_in_parts(tmp_path: Path) -> None:
+    """Copies of all coefficients took three times their memory: 7 GB at 8192 x 6500 pixels."""
+    random = np.random.default_rng(1)
+    values = random.normal(size=(60, 500, 6))
+    colors = random.integers(0, 256, (60, 500, 3), dtype=np.uint8)
+    tracemalloc.start()
+    try:
+        write_ptm(tmp_path / "a.ptm", values, colors)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 0.5 * values.nbytes
+    coefficients, read = read_ptm(tmp_path / "a.ptm")
+    np.testing.assert_array_equal(read, colors)
+    np.testing.assert_allclose(coefficients / 256, values, atol=2 * np.ptp(values) / 255)
 
 
 def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ std::string text_of(const Eigen::Vector3d& vector, int digits = usual_digits) {
 /// So many that the origin keeps a thousandth of a pixel, also far from the world's origin (a national grid in
 /// millimeters or micrometers).
 int digits_of_origin(const Dem& dem) {
-  const double pixels = dem.origin.cwiseAbs().maxCoeff() / dem.pixel;
+  const double pixels = std::min(dem.origin.cwiseAbs().maxCoeff() / dem.pixel, 1e15);
   if (!(pixels > 1)) return usual_digits;
   return std::clamp(static_cast<int>(std::ceil(std::log10(pixels))) + 4, usual_digits, digits_of_a_double);
 }
