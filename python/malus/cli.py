@@ -34,6 +34,7 @@ from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import PLATES_SECONDS, expected_times
 from malus.report_head import size_of_object
+from malus.scans import is_scan
 from malus.shell import SHELLS, completion, manual
 from malus.threads import ALL_CORES
 
@@ -415,6 +416,11 @@ def _reconstruct(
         options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():
         raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
+    # Both would be found only after all other steps.
+    if reference is not None and is_scan(reference):
+        raise InputError(f"--reference {reference}: is LAS or E57, expected PLY, or text with x y z in each line")
+    if getattr(args, "m3c2", False):
+        m3c2.require_package()
     _require_own_folder(args.output, station_path)
     require_kind(station_path, "station")
     station = malus.Station.load(station_path)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from malus.colmap_export import write_colmap_workspace
 from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
+from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
@@ -131,10 +133,14 @@ class Exporter:
         x, y, z = np.moveaxis(points @ self.rotation.T + self.translation, -1, 0)
         return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
 
+    @cached_property
+    def _known_normals(self) -> NDArray[np.float32]:
+        """Fused normals, H×W×3, camera frame, 0 where none is known."""
+        return np.nan_to_num(self.surface.normals)
+
     def world_normals(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Fused unit normals at world points (…×3) of the surface, world frame."""
-        normals = np.nan_to_num(self.surface.normals.astype(float))
-        normal = sample(normals, self.pixels(points)) @ self.rotation
+        normal = sample(self._known_normals, self.pixels(points)) @ self.rotation
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         # Where no normal is known, use the direction towards the camera.
         unit: NDArray[np.float32] = np.where(length > 0.1, normal / np.maximum(length, 0.1), -self.rotation[2]).astype(
@@ -221,18 +227,24 @@ def _turn_y_up(path: Path) -> None:
 def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
     _require_few_digits(exporter, mesh, path)
-    corners = mesh.vertices[mesh.triangles]
-    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    facets["corners"] = corners
     with replacing(path) as temporary, temporary.open("wb") as file:
         # The header has only 80 bytes: the statements about trust come before the name. It must not begin with the name, which could
         # be "solid": that word marks a text STL.
         said = f"Malus, {exporter.unit}, confidence {exporter.trust['confidence']}, {exporter.trust['detail']}: {exporter.name}"
         file.write(said.encode("ascii", "replace")[:80].ljust(80))
-        file.write(np.uint32(len(facets)).tobytes())
-        file.write(facets.tobytes())
+        file.write(np.uint32(len(mesh.triangles)).tobytes())
+        # In parts, because all facets of 100 megapixels would take many times the mesh's memory.
+        for rows in arrays.chunks(len(mesh.triangles)):
+            file.write(_facets(mesh.vertices[mesh.triangles[rows]]).tobytes())
+
+
+def _facets(corners: NDArray[np.float64]) -> NDArray[np.void]:
+    """Records of a binary STL file for triangles (N×3×3: their corners)."""
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    facets["corners"] = corners
+    return facets
 
 
 def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
@@ -246,12 +258,21 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
         )
 
 
+def _bands(raster: NDArray[np.bool_]) -> list[slice]:
+    """Slices of a raster's rows, some at a time: places and colors of all pixels of 100 megapixels would take tens of GB."""
+    count, width = raster.shape
+    rows = max(1, arrays.CHUNK // width)
+    return [slice(top, min(top + rows, count)) for top in range(0, count, rows)]
+
+
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
-    colors = sample(exporter.picture(), exporter.pixels(dem.points()[known]))
-    picture[known, :3] = np.rint(colors)
+    photograph = exporter.picture()
+    for rows in _bands(known):
+        places = dem.points(rows)[known[rows]]
+        picture[rows][known[rows], :3] = np.rint(sample(photograph, exporter.pixels(places)))
     picture[known, 3] = 255
     per_meter = 1 / (dem.pixel * METERS[exporter.unit])
     save_png(path, picture, exporter.xmp(), dpi=per_meter * 0.0254)
@@ -327,12 +348,10 @@ def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
 
 def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     mesh = exporter.simplified(wishes.faces)
-    texture, material = path.with_suffix(".png"), path.with_suffix(".mtl")
+    texture, material = files_beside("obj", path)
     save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
-    # Indices in OBJ files start at 1.
-    corners = np.repeat(mesh.triangles.astype(np.int64) + 1, 3, axis=1)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(f"# {line}\n" for line in exporter.words())
         file.write(
@@ -340,11 +359,18 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         )
         # To a thousandth of a pixel, also far from the origin, as in a national grid.
         places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
-        np.savetxt(file, mesh.vertices, " ".join(["v", *[f"%.{places}f"] * 3]))
-        np.savetxt(file, exporter.texture_coordinates(mesh.vertices), "vt %.7f %.7f")
-        np.savetxt(file, mesh.normals, "vn %.5f %.5f %.5f")
+        # In parts, because copies of all rows of 100 megapixels would take many times the mesh's memory.
+        for rows in arrays.chunks(len(mesh.vertices)):
+            np.savetxt(file, mesh.vertices[rows], " ".join(["v", *[f"%.{places}f"] * 3]))
+        for rows in arrays.chunks(len(mesh.vertices)):
+            np.savetxt(file, exporter.texture_coordinates(mesh.vertices[rows]), "vt %.7f %.7f")
+        for rows in arrays.chunks(len(mesh.vertices)):
+            np.savetxt(file, mesh.normals[rows], "vn %.5f %.5f %.5f")
         file.write("usemtl photograph\n")
-        np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
+        for rows in arrays.chunks(len(mesh.triangles)):
+            # Indices in OBJ files start at 1.
+            corners = np.repeat(mesh.triangles[rows].astype(np.int64) + 1, 3, axis=1)
+            np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
 
 
 def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
@@ -362,12 +388,13 @@ def _write_exr(exporter: Exporter, path: Path, channels: dict[str, NDArray[np.fl
 
 def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
-    points = dem.points()
     known = np.isfinite(dem.elevation)
     normals = np.zeros((*dem.elevation.shape, 3), np.float32)
     normals[..., 2] = 1
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
-    normals[known] = exporter.world_normals(points[known]) @ frame
+    for rows in _bands(known):
+        places = dem.points(rows)[known[rows]]
+        normals[rows][known[rows]] = exporter.world_normals(places) @ frame
     if path.suffix.lower() == ".exr":
         _write_exr(exporter, path, {"RGB": normals})
         return
@@ -395,16 +422,21 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         extra("lazrs", "lazrs", f"{path}: LAZ")
     cloud, sigma = exporter.cloud()
     header = library.LasHeader(point_format=7, version="1.4")
+    # The specification requires this bit with point formats 6 to 10; converters to COPC refuse files without it.
+    header.global_encoding.wkt = True
     header.offsets = cloud.vertices.mean(0)
     # LAS stores whole numbers: steps of a thousandth of a pixel or finer.
     header.scales = np.full(3, 10.0 ** np.floor(np.log10(1e-3 * exporter.workspace.quality["gsd"])))
     for name in ("sigma", "normal_x", "normal_y", "normal_z"):
         header.add_extra_dim(library.ExtraBytesParams(name=name, type=np.float32))
-    # The text record of the LAS specification, 65 535 bytes at most.
-    text = "\n".join(exporter.words()).encode()[:65535]
+    # The text record of the LAS specification, 65 535 bytes at most; a zero ends it.
+    text = "\n".join(exporter.words()).encode()[:65534] + b"\0"
     header.vlrs.append(library.VLR("LASF_Spec", 3, "[object]", text))
     points = library.LasData(header)
     points.x, points.y, points.z = cloud.vertices.T
+    # Each point is the first of one return: with 0 the header's numbers of points by return would be 0, too.
+    points.return_number = np.ones(len(cloud.vertices), np.uint8)
+    points.number_of_returns = np.ones(len(cloud.vertices), np.uint8)
     points.red, points.green, points.blue = cloud.colors.T.astype(np.uint16) * 257
     points.sigma = sigma.astype(np.float32)
     points.normal_x, points.normal_y, points.normal_z = cloud.normals.T
@@ -420,7 +452,8 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     # adds to them; near it as they are, for readers that take no pose.
     largest, pixel = np.abs(points).max(), exporter.workspace.quality["gsd"] * METERS[exporter.unit]
     middle = points.mean(0) if largest * 2.0**-24 > 1e-3 * pixel else np.zeros(3)
-    x, y, z = (points - middle).T
+    local = points - middle
+    x, y, z = local.T
     red, green, blue = cloud.colors.T
     values = {
         "cartesianX": x,
@@ -430,6 +463,9 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "colorGreen": green,
         "colorBlue": blue,
     }
+    # Without a header the library states the bounds with the pose applied; the standard wants them in the frame of the stored points.
+    bounds = {f"{axis}Minimum": value for axis, value in zip("xyz", local.min(0).tolist(), strict=True)}
+    bounds |= {f"{axis}Maximum": value for axis, value in zip("xyz", local.max(0).tolist(), strict=True)}
     # E57 has no elements for unit, confidence and catalog entries: they go into an extension of our own, which the standard allows.
     # Programs show only the scan's name, so the name also states the confidence.
     said = {**exporter.said, "unit": "m"}
@@ -441,6 +477,7 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
             name=f"{exporter.name} (confidence {said['confidence']})",
             rotation=np.array([1.0, 0, 0, 0]),
             translation=middle,
+            scan_header=SimpleNamespace(**bounds),
         )
         for key, words in said.items():
             file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))
@@ -471,6 +508,14 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
 }
 #: Suffixes of further files that a format leaves beside the file it is asked for.
 BESIDE = {"obj": (".png", ".mtl"), "orthophoto": (".pgw",), "rti": (".ptm.txt",)}
+
+
+def files_beside(format: str, path: Path) -> list[Path]:
+    """The further files that a format leaves beside `path`; in those of an OBJ, whose text names them, "_" replaces spaces, which end a name."""
+    name = "_".join(path.name.split()) if format == "obj" else path.name
+    return [path.with_name(name).with_suffix(suffix) for suffix in BESIDE.get(format, ())]
+
+
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
 #: The formats that show either the photograph's color or the albedo; IIIF shows both.
@@ -553,21 +598,19 @@ def export(
     exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
     with writing(path):
         write(exporter, path, Wishes(faces, interval, y_up, url))
-        _keep_if_unchanged(path, exporter.workspace, BESIDE.get(format, ()))
+        _keep_if_unchanged(path, exporter.workspace, files_beside(format, path))
         exported.note(exporter.workspace, path)
     return path
 
 
-def _keep_if_unchanged(path: Path, workspace: Workspace, beside: tuple[str, ...]) -> None:
-    """Remove the exported file, and those with the suffixes `beside`, if a run changed the workspace meanwhile: they could mix two
-    surfaces.
-    """
+def _keep_if_unchanged(path: Path, workspace: Workspace, beside: list[Path]) -> None:
+    """Remove the exported file and the files `beside` it if a run changed the workspace meanwhile: they could mix two surfaces."""
     try:
         workspace.require_unchanged()
     except InputError:
         if path.is_dir():
             shutil.rmtree(path)
         else:
-            for file in (path, *map(path.with_suffix, beside)):
+            for file in (path, *beside):
                 file.unlink()
         raise

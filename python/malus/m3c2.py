@@ -41,6 +41,11 @@ def _py4dgeo() -> ModuleType:
     return library
 
 
+def require_package() -> None:
+    """ExternalError without py4dgeo."""
+    _py4dgeo()
+
+
 def _spacing(points: NDArray[np.float64], area: float) -> float:
     return float(np.sqrt(area / max(len(points), 1)))
 
@@ -101,9 +106,14 @@ def thinning(pixels: int) -> int:
 
 
 def spread_out(core: NDArray[np.float64], step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """A map of all pixels from a map of core points: each value is repeated over step × step pixels."""
-    full = np.kron(core.astype(np.float32), np.ones((step, step), np.float32))
-    return np.asarray(full[: shape[0], : shape[1]], dtype=np.float32)
+    """A map of all pixels (of this shape) from a map of core points, which are every step-th pixel: each pixel has the value of the
+    nearest one, so that the map is not shifted.
+    """
+    rows, columns = (
+        np.minimum((np.arange(size) + (step - 1) // 2) // step, count - 1)
+        for size, count in zip(shape, core.shape, strict=True)
+    )
+    return np.asarray(core.astype(np.float32)[np.ix_(rows, columns)])
 
 
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:

@@ -63,7 +63,6 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
     scale = np.maximum(high - low, 1e-6) / 255
     bias = np.clip(np.rint(-low / scale), -32768, 32767).astype(int)
     # The format stores brightness 1 as 256.
-    stored = np.clip(np.rint(coefficients / scale + bias), 0, 255).astype(np.uint8)
     header = (
         f"PTM_1.2\nPTM_FORMAT_LRGB\n{width}\n{height}\n"
         f"{' '.join(f'{256 * value:.9g}' for value in scale)}\n{' '.join(str(value) for value in bias)}\n"
@@ -71,7 +70,8 @@ def write_ptm(path: Path, coefficients: NDArray[np.float64], colors: NDArray[np.
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode())
         # The format stores rows from the bottom up.
-        file.write(stored[::-1].tobytes())
+        for row in coefficients[::-1]:
+            file.write(np.clip(np.rint(row / scale + bias), 0, 255).astype(np.uint8).tobytes())
         file.write(colors[::-1].tobytes())
 
 
@@ -120,10 +120,11 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
     """
     found = relightable(workspace)
     # The coefficients here are of u², v², uv, u, v, 1, in this order.
-    ordered = found.coefficients[..., [5, 3, 4, 0, 2, 1]]
-    low, high = ordered.min((0, 1)), ordered.max((0, 1))
+    order = [5, 3, 4, 0, 2, 1]
+    low, high = (limit[order] for limit in (found.coefficients.min((0, 1)), found.coefficients.max((0, 1))))
     scale = np.maximum(high - low, 1e-6)
-    levels = np.rint(255 * (ordered - low) / scale).astype(np.uint8)
+    # A row at a time, because copies of all coefficients would need many times the memory of the planes.
+    levels = np.stack([np.rint(255 * (row[:, order] - low) / scale).astype(np.uint8) for row in found.coefficients])
     height, width = found.colors.shape[:2]
     millimeters = workspace.quality["gsd"] * found.step * METERS[str(workspace.quality["unit"])] * 1000
     info = {

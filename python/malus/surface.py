@@ -41,11 +41,13 @@ class Dem:
     up: NDArray[np.float64]
     normal: NDArray[np.float64]
 
-    def points(self) -> NDArray[np.float64]:
-        """World points of all pixels, H×W×3, NaN where there is no elevation."""
-        rows, columns = np.meshgrid(*(np.arange(float(n)) for n in self.elevation.shape), indexing="ij")
-        offset = np.multiply.outer(columns, self.right) - np.multiply.outer(rows, self.up)
-        height = np.multiply.outer(self.elevation.astype(np.float64), self.normal)
+    def points(self, rows: slice = slice(None)) -> NDArray[np.float64]:
+        """World points of all pixels, or of those in some consecutive rows, H×W×3, NaN where there is no elevation."""
+        elevation = self.elevation[rows].astype(np.float64)
+        first, _, _ = rows.indices(len(self.elevation))
+        down, across = np.meshgrid(*(np.arange(float(n)) for n in elevation.shape), indexing="ij")
+        offset = np.multiply.outer(across, self.right) - np.multiply.outer(first + down, self.up)
+        height = np.multiply.outer(elevation, self.normal)
         points: NDArray[np.float64] = self.origin + self.pixel * offset + height
         return points
 

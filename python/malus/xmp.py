@@ -64,8 +64,10 @@ def packet(name: str, words: Mapping[str, str], surface: Mapping[str, str]) -> s
 
 @cache
 def srgb_profile() -> bytes:
-    """ICC profile of sRGB."""
-    return ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    """ICC profile of sRGB, always the same bytes."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    # The library writes the time of the call as the profile's date (bytes 24 to 35), so that no two exports were equal.
+    return profile[:24] + struct.pack(">6H", 2000, 1, 1, 0, 0, 0) + profile[36:]
 
 
 def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | None = None) -> None:

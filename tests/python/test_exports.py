@@ -9,6 +9,7 @@ import struct
 import sys
 import threading
 import time
+import tracemalloc
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +24,10 @@ from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exported, exports, scans
 from malus._files import read_record
+from malus.object import arrays
+from malus.rti import write_ptm
 from malus.trust import said_of
-from malus.xmp import NAMESPACE
+from malus.xmp import NAMESPACE, srgb_profile
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +136,62 @@ def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.
     np.testing.assert_allclose(mesh.visual.uv[:, 0], (camera.fx * x / z + camera.cx + 0.5) / 200, atol=1e-4)
 
 
+def test_obj_names_its_files_without_spaces(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """Readers that take a space for the end of a name (tinyobjloader and what is built on it) found no texture."""
+    path = malus.export(workspace.folder, "obj", tmp_path / "Stone  of 1907.v2.obj")
+    beside = {"Stone_of_1907.v2.mtl", "Stone_of_1907.v2.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {path.name, *beside}
+    assert "\nmtllib Stone_of_1907.v2.mtl\n" in path.read_text(encoding="utf-8")
+    assert "\nmap_Kd Stone_of_1907.v2.png\n" in (tmp_path / "Stone_of_1907.v2.mtl").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("format", ["obj", "stl"])
+def test_large_meshes_are_written_in_parts(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    """At 100 megapixels, copies of all triangles took 15 GB (OBJ) and more than 40 GB (STL) beside the mesh."""
+    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    mesh = exporter.mesh()
+    monkeypatch.setattr(exports.Exporter, "simplified", lambda *_: mesh)
+    whole, parts = (tmp_path / name / f"a.{format}" for name in ("whole", "parts"))
+    write(exporter, whole, wishes)
+    monkeypatch.setattr(arrays, "CHUNK", 1000)
+    tracemalloc.start()
+    try:
+        write(exporter, parts, wishes)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert parts.read_bytes() == whole.read_bytes()
+    assert most < 0.5 * parts.stat().st_size
+
+
+@pytest.mark.parametrize("format", ["orthophoto", "normal-map"])
+def test_large_maps_are_computed_in_parts(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
+) -> None:
+    """At 100 megapixels, the places of all pixels and what was seen there took tens of GB."""
+    from PIL import Image
+
+    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    dem = exporter.dem()
+    monkeypatch.setattr(exports.Exporter, "dem", lambda _: dem)
+    write(exporter, tmp_path / "whole.png", wishes)
+    monkeypatch.setattr(arrays, "CHUNK", 1000)
+    tracemalloc.start()
+    try:
+        write(exporter, tmp_path / "parts.png", wishes)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 80 * dem.elevation.size
+    read = {"orthophoto": lambda path: np.asarray(Image.open(path)), "normal-map": sixteen_bits}[format]
+    whole, parts = (read(tmp_path / f"{name}.png").astype(int) for name in ("whole", "parts"))
+    assert np.abs(whole - parts).max() <= 1  # by rounding
+    rows = slice(20, 33)
+    np.testing.assert_array_equal(dem.points(rows), dem.points()[rows])
+
+
 def test_cloudcompare_opens_meshes_and_measures_between_them(
     workspace: malus.Workspace, points: np.ndarray, tmp_path: Path
 ) -> None:
@@ -226,6 +285,9 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255
+    # As the specification requires for point format 7: converters to COPC refuse files without this bit.
+    assert cloud.header.global_encoding.wkt
+    assert cloud.header.number_of_points_by_return[0] == cloud.header.point_count == len(cloud.xyz)
     # Read by LASzip: point format 7, laid out by its specification.
     laszip = pytest.importorskip("laszip")
     names = "x y z intensity returns flags kind user angle source time red green blue sigma nx ny nz".split()
@@ -241,6 +303,7 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
         reader.close()
     read = np.stack([records[axis] for axis in "xyz"], -1) * scale + offset
     np.testing.assert_allclose(read, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
+    assert (records["returns"] == 0x11).all()  # the first of one
     np.testing.assert_array_equal(records["sigma"], cloud.sigma)
     np.testing.assert_array_equal(records["green"], cloud.green)
 
@@ -280,8 +343,13 @@ def test_e57_far_from_the_origin_has_a_pose(
     monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
     path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
     file = library.E57(str(path))
-    scan = file.read_scan(0, ignore_missing_fields=True)
+    scan, stored = file.read_scan(0, ignore_missing_fields=True), file.read_scan_raw(0)
+    header = file.get_header(0)
+    bounds = [[getattr(header, f"{axis}{end}imum") for axis in "xyz"] for end in ("Min", "Max")]
     file.close()
+    # The standard states the bounds in the frame of the stored points; those of the world were half a country beside them.
+    local = np.stack([stored[f"cartesian{axis}"] for axis in "XYZ"], -1)
+    np.testing.assert_allclose(bounds, [local.min(0), local.max(0)], atol=1e-6)
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000 - far
     np.testing.assert_allclose(xyz, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
     # As a prior it lies where it was.
@@ -426,6 +494,7 @@ def test_meshes_and_clouds_name_object_and_license(
     with laspy.open(malus.export(workspace.folder, "las", tmp_path / "a.las")) as file:
         (record,) = [vlr for vlr in file.header.vlrs if vlr.user_id == "LASF_Spec" and vlr.record_id == 3]
     assert set(told) <= set(record.record_data.decode().splitlines())
+    assert record.record_data.endswith(b"\0")
 
 
 def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Path) -> None:
@@ -461,6 +530,17 @@ def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Pa
         assert set(of_the_surface(workspace)) <= {f"{key}: {value}" for key, value in surface.items()}
         terms = next(root.iter("{http://ns.adobe.com/xap/1.0/rights/}UsageTerms"))
         assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
+
+
+def test_the_color_profile_does_not_depend_on_the_time() -> None:
+    """PNG and JPEG files of two equal exports differed by the date in their profile."""
+    import io
+
+    from PIL import ImageCms
+
+    profile = srgb_profile()
+    assert struct.unpack(">6H", profile[24:36]) == (2000, 1, 1, 0, 0, 0)
+    assert "sRGB" in ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))
 
 
 def dxf_lines_of_gdal(path: Path) -> list[np.ndarray]:
@@ -612,6 +692,23 @@ def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:
     assert raw.size == 9 * count
     coefficients = (raw[: 6 * count].reshape(*shape, 6)[::-1] - bias) * scale
     return coefficients, raw[6 * count :].reshape(*shape, 3)[::-1]
+
+
+def test_a_large_ptm_is_written_in_parts(tmp_path: Path) -> None:
+    """Copies of all coefficients took three times their memory: 7 GB at 8192 x 6500 pixels."""
+    random = np.random.default_rng(1)
+    values = random.normal(size=(60, 500, 6))
+    colors = random.integers(0, 256, (60, 500, 3), dtype=np.uint8)
+    tracemalloc.start()
+    try:
+        write_ptm(tmp_path / "a.ptm", values, colors)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 0.5 * values.nbytes
+    coefficients, read = read_ptm(tmp_path / "a.ptm")
+    np.testing.assert_array_equal(read, colors)
+    np.testing.assert_allclose(coefficients / 256, values, atol=2 * np.ptp(values) / 255)
 
 
 def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path) -> None:

@@ -455,6 +455,19 @@ def test_levels_of_detail_get_smaller_and_keep_the_full_normals(
         assert {image["mimeType"] for image in document["images"]} == (
             {"image/jpeg", "image/png"} if path.name == "mesh.glb" else {"image/webp"}
         )
+    assert {row["texture_format"] for row in figures} == {"webp"}
+    files_of_webp = [path.read_bytes() for path in files]
+    # Readers without EXT_texture_webp, such as MeshLab, open levels with JPEG and PNG textures.
+    write_levels(tmp_path / "jpeg", levels, "mm", "sphere", "jpeg")
+    for k in range(len(levels)):
+        content = (tmp_path / f"jpeg/levels/{k}.glb").read_bytes()
+        document = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
+        assert "extensionsUsed" not in document and "extensionsRequired" not in document
+        assert [document["images"][texture["source"]]["mimeType"] for texture in document["textures"]] == [
+            "image/jpeg",
+            "image/png",
+        ]
+    assert [path.read_bytes() for path in files] == files_of_webp
     trimesh = pytest.importorskip("trimesh")
     for path, level in zip(files, [levels[0], *levels], strict=True):
         scene = trimesh.load(path)
@@ -511,6 +524,7 @@ def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
         ("closed = false", "max_sigma_gsd = -1", "object.max_sigma_gsd = -1, expected more than 0"),
         ("faces = 3000", "faces = 3", "object.faces = 3, expected 100 to 1000000000"),
         ("faces = 3000", "faces = inf", "object.faces = inf, expected 100 to 1000000000"),
+        ("closed = false", 'texture_format = "png"', "object.texture_format = 'png', expected 'webp' or 'jpeg'"),
         ("closed = false", 'unit = "m"', "station.unit = 'mm', expected 'm'"),
     ],
 )

@@ -111,9 +111,10 @@ class Positions {
 };
 
 Float2 texture_coordinate(const Eigen::Vector3d& x, const ProjectedTexture& texture) {
-  const Size size = texture.camera.size;
+  // The last texels may reach beyond the view, so that the texture's sides are those of its texels, not of the camera.
+  const int width = texture.texel_px * texture.image.width(), height = texture.texel_px * texture.image.height();
   const Eigen::Vector2d pixel = texture.camera.project(texture.pose.cam_from_world(x));
-  return {static_cast<float>((pixel.x() + 0.5) / size.width), static_cast<float>((pixel.y() + 0.5) / size.height)};
+  return {static_cast<float>((pixel.x() + 0.5) / width), static_cast<float>((pixel.y() + 0.5) / height)};
 }
 
 /// glTF requires normals of unit length; a mesh may have zero normals.
@@ -222,7 +223,7 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   if (total > std::numeric_limits<std::uint32_t>::max()) {
     throw resource_error("cannot write " + path.string() +
                          ": it would exceed 4 GB, the most that a GLB file can hold; "
-                         "lower surface.glb_triangles");
+                         "lower surface.glb_triangles (malus export: --faces)");
   }
   AtomicFile file(path);
   file.expect(total);

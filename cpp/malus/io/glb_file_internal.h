@@ -15,10 +15,10 @@ namespace malus {
 
 /// The photograph of a mesh: each vertex takes its color from its projection into this camera.
 struct ProjectedTexture {
-  const Image<std::uint8_t>&
-      image;  ///< sRGB, 1 or 3 channels, covers the whole view; may be smaller than the camera's size
+  const Image<std::uint8_t>& image;  ///< sRGB, 1 or 3 channels, covers the whole view
   const Pinhole& camera;
   const Pose& pose;
+  int texel_px = 1;  ///< side of a texel in pixels of the camera; texels of the last column and row may reach beyond it
 };
 
 /// Writes a mesh with a texture as binary glTF 2.0, atomically: one file, in meters (`unit` is the mesh's), in the

@@ -242,7 +242,8 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
         display_image(picture, surface.depth, options.white_percentile, options.glb_texture_px, quiet);
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for_glb(surface, mesh.triangles, options, quiet);
-    write_glb(file, mesh_from_depth(surface, {}, coarse, quiet), {texture, surface.camera, surface.pose},
+    const int texel_px = display_block(picture.size(), options.glb_texture_px);
+    write_glb(file, mesh_from_depth(surface, {}, coarse, quiet), {texture, surface.camera, surface.pose, texel_px},
               length_unit(station.unit), station.name, quiet, extras);
     return true;
   });

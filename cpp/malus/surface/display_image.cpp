@@ -61,10 +61,14 @@ Rgb DisplayColors::operator()(int u, int v) const {
   return rgb;
 }
 
+int display_block(Size size, int longest_side) {
+  return std::max(1, (std::max(size.width, size.height) + longest_side - 1) / longest_side);
+}
+
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
                                   int longest_side, const Context& context) {
   const DisplayColors colors(color, depth, white_percentile);
-  const int n = std::max(1, (std::max(color.width(), color.height()) + longest_side - 1) / longest_side);
+  const int n = display_block(color.size(), longest_side);
   auto display = Image<std::uint8_t>::uninitialized({(color.width() + n - 1) / n, (color.height() + n - 1) / n}, 3);
   parallel_rows(context, display.height(), [&](int v) {
     for (int u = 0; u < display.width(); ++u) {

@@ -24,9 +24,11 @@ class DisplayColors {
   std::vector<std::uint8_t> table_;
 };
 
-/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, with the smallest n for which no side
-/// is longer than `longest_side`. Blocks of the last column and row may be smaller, so that the result covers the whole
-/// image.
+/// The smallest n for which an image in blocks of n × n pixels has no side of more than `longest_side` blocks.
+int display_block(Size size, int longest_side);
+
+/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, n = display_block(). Blocks of the
+/// last column and row may be smaller, so that the result covers the whole image.
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
                                   int longest_side, const Context& context);
 /// The same in full size.

@@ -22,12 +22,25 @@ from malus.station import Station
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
-    "object": ("name", "unit", "stations", "report", "closed", "max_sigma_gsd", "faces", "reference", "register",
-               "turntable"),
-}  # fmt: skip
+    "object": (
+        "name",
+        "unit",
+        "stations",
+        "report",
+        "closed",
+        "max_sigma_gsd",
+        "faces",
+        "texture_format",
+        "reference",
+        "register",
+        "turntable",
+    ),
+}
 #: Triangles of the textured mesh.
 _FACES = 20000.0
 _LEAST_FACES, _MOST_FACES = 100, 10**9
+#: Formats of the textures in object/levels/. "jpeg": JPEG colors and PNG normals, which every reader of glTF opens.
+_TEXTURE_FORMATS = ("webp", "jpeg")
 #: Any of these keys of [camera] gives a pose.
 _POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
 #: Scales of one cloud that differ by less, relatively, are rounding.
@@ -39,10 +52,10 @@ class Object:
     """Stations about one object, in one frame and unit.
 
     closed: the mesh has no holes; areas that no station sees are guessed and marked. Otherwise these areas stay open, and so do areas
-    whose standard deviation exceeds max_sigma_gsd GSD. faces: most triangles, about, of the textured mesh (object/mesh.glb). reference:
-    a scan to compare the mesh with; register: the scan is in another frame and is first registered to the mesh. turntable: the object
-    turned while its surroundings stood still. It is then found by what lies inside the masks of photos and stations, and these masks show
-    all of it.
+    whose standard deviation exceeds max_sigma_gsd GSD. faces: most triangles, about, of the textured mesh (object/mesh.glb).
+    texture_format: of the textures in object/levels/, "webp" or "jpeg" (JPEG colors and PNG normals). reference: a scan to compare the
+    mesh with; register: the scan is in another frame and is first registered to the mesh. turntable: the object turned while its
+    surroundings stood still. It is then found by what lies inside the masks of photos and stations, and these masks show all of it.
     """
 
     campaign: Campaign
@@ -54,6 +67,7 @@ class Object:
     register: bool = True
     shared: Mapping[str, Any] | None = None
     """`photos`, `scale` and `control` that all stations share, as in `Station.describe`; None if the stations are already in one frame."""
+    texture_format: str = _TEXTURE_FORMATS[0]
     turntable: bool = False
 
     @property
@@ -66,10 +80,10 @@ class Object:
         """Read an object file; InputError names file, field, value and what was expected.
 
         [object] has `stations`, a list of station files or globs relative to the file, and optionally `name`, `unit` (the same for
-        all stations), `report`, `closed`, `max_sigma_gsd`, `faces`, `reference`, `register` and `turntable`. [options] takes the same
-        settings as `--options`. All stations must be in one frame. Either their poses are from one COLMAP model or in the same
-        coordinates; or the object file has [photos] and [[scale]] or [[control]], as in a station file, and all stations are found among
-        these photos.
+        all stations), `report`, `closed`, `max_sigma_gsd`, `faces`, `texture_format`, `reference`, `register` and `turntable`.
+        [options] takes the same settings as `--options`. All stations must be in one frame. Either their poses are from one COLMAP model
+        or in the same coordinates; or the object file has [photos] and [[scale]] or [[control]], as in a station file, and all stations
+        are found among these photos.
         """
         file = Path(path)
         content = read_tables(file, _KEYS)
@@ -85,6 +99,9 @@ class Object:
             raise InputError(f"{file}: object.max_sigma_gsd = {limit:g}, expected more than 0")
         if not _LEAST_FACES <= faces <= _MOST_FACES:
             raise InputError(f"{file}: object.faces = {faces:g}, expected {_LEAST_FACES} to {_MOST_FACES}")
+        textures = value("texture_format", _TEXTURE_FORMATS[0])
+        if textures not in _TEXTURE_FORMATS:
+            raise InputError(f"{file}: object.texture_format = {textures!r}, expected 'webp' or 'jpeg'")
         files = stations_of(file, "object", table)
         campaign = Campaign(value("name", file.stem), files, options_of(file, content), value("report", True))
         stations = {path: Station.load(path).describe() for path in files}
@@ -98,8 +115,17 @@ class Object:
         if reference is None and "register" in table:
             raise InputError(f"{file}: object.register needs object.reference, the scan that is to be registered")
         return Object(
-            campaign, unit, value("closed", False), limit, int(faces), reference, value("register", True), shared, turntable
-        )  # fmt: skip
+            campaign,
+            unit,
+            value("closed", False),
+            limit,
+            int(faces),
+            reference,
+            value("register", True),
+            shared,
+            textures,
+            turntable,
+        )
 
     def read_reference(self) -> Reference | None:
         """The scan to compare with, if there is one; InputError if it cannot be read."""

@@ -83,13 +83,14 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
 
 
 def write_levels(
-    folder: Path, levels: list[TexturedMesh], unit: str, name: str
+    folder: Path, levels: list[TexturedMesh], unit: str, name: str, texture_format: str = "webp"
 ) -> tuple[list[Path], list[dict[str, Any]]]:
-    """Write mesh.glb (JPEG and PNG textures), albedo.glb if the albedo is known, and levels/0.glb … (WebP textures). Returns the files
-    and the figures of each level.
+    """Write mesh.glb (JPEG and PNG textures), albedo.glb if the albedo is known, and levels/0.glb … (WebP textures, or with
+    texture_format "jpeg" JPEG and PNG). Returns the files and the figures of each level.
     """
     paths = [folder / "mesh.glb", *(folder / "levels" / f"{k}.glb" for k in range(len(levels)))]
-    contents = [glb(levels[0], unit, name), *(glb(level, unit, name, webp=True) for level in levels)]
+    webp = texture_format == "webp"
+    contents = [glb(levels[0], unit, name), *(glb(level, unit, name, webp=webp) for level in levels)]
     if levels[0].albedo is not None:
         paths.append(folder / "albedo.glb")
         contents.append(glb(replace(levels[0], color=levels[0].albedo), unit, name))
@@ -97,7 +98,7 @@ def write_levels(
         write_bytes(path, content)
     figures = [
         {"file": f"levels/{k}.glb", "triangles": len(level.triangles), "texture_px": len(level.color),
-         "deviation": level.deviation, "bytes": len(contents[k + 1])}
+         "texture_format": texture_format, "deviation": level.deviation, "bytes": len(contents[k + 1])}
         for k, level in enumerate(levels)
     ]  # fmt: skip
     return paths, figures

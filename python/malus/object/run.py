@@ -186,7 +186,10 @@ def _begin(workspace: Path, begun: Path) -> None:
 def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
     """Hash of what the surface is made from, and of what its page says about stations that are not in it."""
     scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
-    wanted = [thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.campaign.report, scan]
+    wanted = [
+        thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.texture_format,
+        thing.campaign.report, scan,
+    ]  # fmt: skip
     stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
     return hashlib.sha256(json.dumps([_core.version, wanted, stations]).encode()).hexdigest()
 
@@ -248,7 +251,7 @@ def _fuse(
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
         coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, scratch)
-        files, levels = write_levels(folder, baked, thing.unit, thing.name)
+        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format)
         comparison, compared = _compared(thing, mesh, views, gsd, threads)
         files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <sstream>
 
 #include "io/temporary_folder.h"
 #include "malus/core/depth_normals_internal.h"
@@ -156,6 +157,36 @@ TEST(Dem, FileHoldsTheRaster) {
   EXPECT_THROW(length_unit("furlong"), Error);
 }
 
+TEST(Dem, FileKeepsItsPlaceInANationalGrid) {
+  const TemporaryFolder folder;
+  Dem dem;
+  dem.elevation = Image<float>({2, 2}, 1, 0.5f);
+  dem.pixel = 10;
+  dem.origin = {4.123456789123e11, 5.412345678912345e12, 321.25};  // micrometers
+  write_dem(folder / "dem.tif", dem, length_unit("um"), "stone");
+  const std::string bytes = read_file(folder / "dem.tif", "dem"), name = "WORLD_ORIGIN\">";
+  const std::size_t at = bytes.find(name);
+  ASSERT_NE(at, std::string::npos);
+  std::istringstream numbers(bytes.substr(at + name.size(), 80));
+  for (int axis = 0; axis < 3; ++axis) {
+    double value = 0;
+    numbers >> value;
+    EXPECT_NEAR(value, dem.origin[axis], 1e-3 * dem.pixel) << axis;
+  }
+}
+
+/// The values of an attribute of the mesh in a GLB file.
+std::vector<float> attribute_of(const std::string& bytes, const char* name) {
+  std::uint32_t length = 0;
+  std::memcpy(&length, bytes.data() + 12, sizeof length);
+  const auto json = nlohmann::json::parse(bytes.substr(20, length));
+  const auto accessor = json["meshes"][0]["primitives"][0]["attributes"][name].get<std::size_t>();
+  const auto& view = json["bufferViews"][json["accessors"][accessor]["bufferView"].get<std::size_t>()];
+  std::vector<float> values(view["byteLength"].get<std::size_t>() / 4);
+  std::memcpy(values.data(), bytes.data() + 28 + length + view["byteOffset"].get<std::size_t>(), values.size() * 4);
+  return values;
+}
+
 TEST(Glb, IsInMetersAndItsTextureLiesOnThePixelGrid) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball();
@@ -167,15 +198,7 @@ TEST(Glb, IsInMetersAndItsTextureLiesOnThePixelGrid) {
   std::memcpy(header.data(), bytes.data(), sizeof header);
   EXPECT_EQ(header[2], bytes.size());
   const auto json = nlohmann::json::parse(bytes.substr(20, header[3]));
-  const char* binary = bytes.data() + 28 + header[3];
-  const auto floats = [&](int accessor) {
-    const auto& view = json["bufferViews"][json["accessors"][accessor]["bufferView"].get<std::size_t>()];
-    std::vector<float> values(view["byteLength"].get<std::size_t>() / 4);
-    std::memcpy(values.data(), binary + view["byteOffset"].get<std::size_t>(), values.size() * 4);
-    return values;
-  };
-  const auto& attributes = json["meshes"][0]["primitives"][0]["attributes"];
-  const std::vector<float> positions = floats(attributes["POSITION"]), uv = floats(attributes["TEXCOORD_0"]);
+  const std::vector<float> positions = attribute_of(bytes, "POSITION"), uv = attribute_of(bytes, "TEXCOORD_0");
   const auto middle = json["nodes"][0]["translation"].get<std::vector<double>>();
   ASSERT_EQ(positions.size(), 3 * mesh.vertices.points.size());
   std::set<int> columns;
@@ -188,6 +211,26 @@ TEST(Glb, IsInMetersAndItsTextureLiesOnThePixelGrid) {
   }
   EXPECT_EQ(*columns.begin(), 0);
   EXPECT_EQ(*columns.rbegin(), 79);
+}
+
+TEST(Glb, AReducedTextureLiesOnThePixelGridUpToTheFarSides) {
+  const TemporaryFolder folder;
+  const FusedSurface surface = ball();
+  const TriangleMesh mesh = mesh_from_depth(surface, {}, {}, {});
+  // Three pixels to a texel: the last of 27 columns is two pixels wide.
+  const int texel_px = display_block(surface.camera.size, 27);
+  const Image<std::uint8_t> texture = display_image(Image<float>({80, 60}, 1, 0.5f), surface.depth, 99, 27, {});
+  ASSERT_EQ(texel_px, 3);
+  ASSERT_EQ(texture.size(), (Size{27, 20}));
+  write_glb(folder / "ball.glb", mesh, {texture, surface.camera, surface.pose, texel_px}, length_unit("mm"), "ball");
+  const std::vector<float> uv = attribute_of(read_file(folder / "ball.glb", "glb"), "TEXCOORD_0");
+  int last = 0;
+  for (std::size_t i = 0; i < uv.size(); i += 2) {
+    const double column = uv[i] * 81 - 0.5;
+    ASSERT_NEAR(column, std::round(column), 1e-3);
+    last = std::max(last, static_cast<int>(std::lround(column)));
+  }
+  EXPECT_EQ(last, 79);
 }
 
 TEST(MeshFiles, OfManyPartsAreTheSameWithAnyNumberOfThreads) {
