@@ -140,7 +140,7 @@ class Tile {
   void add_equations(int u, int v) {
     const Reflection kind = input_.reflection.at(u, v);
     if (kind == Reflection::outside || !has(u, v)) return;
-    AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
+    AffineSlopes slopes = slopes_of_height(&input_.prior.camera);
     if (camera_ != nullptr) {
       slopes = slopes_of_log_depth(*camera_, u, v);
       const double scale = -1 / camera_->focal();
@@ -227,7 +227,7 @@ class Tile {
   }
 
   const Image<float>&heights_, &prior_heights_;
-  const Pinhole* camera_;
+  const Pinhole* camera_;  ///< null = orthographic
   const OptimizeInput& input_;
   const OptimizeOptions& options_;
   const Box box_;
