@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol, TextIO, TypeAlias
 
 import malus
-from malus import _core, batch, m3c2, registration, studio
+from malus import _core, batch, m3c2, registration, scans, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign, require_kind
 from malus.change import change_summary
@@ -207,7 +207,12 @@ def _add_runs(add: _Add) -> None:
         steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
         steps[name].epilog = _leaves(until, fusion)
     for command in (run, paper, steps["assess"]):
-        command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+        command.add_argument(
+            "--reference",
+            type=Path,
+            metavar="SCAN.ply",
+            help="compare with this cloud or mesh (PLY, text, LAS or E57)",
+        )
         command.add_argument(
             "--register",
             action="store_true",
@@ -407,6 +412,9 @@ def _reconstruct(
     station = malus.Station.load(station_path)
     if getattr(args, "pixels", None):
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
+    if reference is not None and scans.is_scan(reference):
+        _core.claim_workspace(str(args.output), station._core, args.replace)
+        reference = scans.as_ply(reference, station.unit, args.output / "reference")
     with _view(args) as view:
         expected = expected_times(station, options, until=until, threads=args.threads)
         if args.command == "paper":
