@@ -9,6 +9,7 @@
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
 #include "synthetic_station.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -162,6 +163,14 @@ TEST(GridOptimization, NeedsALight) {
   Scene scene;
   scene.light.setZero();
   EXPECT_THROW(scene.optimized({}), Error);
+}
+
+TEST(GridOptimization, RefusesCellsThatTakeTooMuchMemory) {
+  const Scene scene;
+  FusedSurface surface = scene.start();
+  const OptimizeInput input{scene.station.state, scene.reflection, scene.station.prior, scene.light, true, 33};
+  expect_error(
+      ErrorCode::input, [&] { optimize_grid_surface(surface, input, {}, {}); }, "grid.grid_px = 33");
 }
 
 }  // namespace
