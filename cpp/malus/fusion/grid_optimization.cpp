@@ -25,8 +25,8 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int tile_px = 256, margin_px = 24;
 /// Width of the strip of pixels along a tile's cut that are held.
 constexpr int held_px = 2;
-/// The widest cell whose mean is compared with the prior's. The mean joins each pixel of a cell with every other one, so
-/// memory grows with the square of the width: the normal equations of a tile then have some 75 million entries.
+/// The widest cell whose mean is compared with the prior's. The mean joins each pixel of a cell with every other one,
+/// so memory grows with the square of the width: here a tile's normal equations have some 75 million entries.
 constexpr int widest_cell_px = 32;
 /// Weight of the difference of both slopes to the prior's. Without it a pixel could leave the surface at no cost where
 /// the equations contradict each other (a zenith of 90°, a wrong branch), because their residuals are bounded.
