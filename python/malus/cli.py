@@ -403,6 +403,8 @@ def _reconstruct(
     for flag in ("m3c2", "register"):
         if getattr(args, flag, False) and reference is None:
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
+    if getattr(args, "m3c2", False):
+        m3c2.require_library()  # now, not after hours of work
     if register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():

@@ -41,6 +41,11 @@ def _py4dgeo() -> ModuleType:
     return library
 
 
+def require_library() -> None:
+    """Raise ExternalError if py4dgeo is not installed."""
+    _py4dgeo()
+
+
 def _spacing(points: NDArray[np.float64], area: float) -> float:
     return float(np.sqrt(area / max(len(points), 1)))
 

@@ -82,3 +82,13 @@ def test_missing_py4dgeo_is_named(work: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "py4dgeo", None)
     with pytest.raises(malus.ExternalError, match=r"py4dgeo.*malus\[m3c2\]"):
         m3c2.compare(work, work / "fused/surface.ply")
+
+
+def test_missing_py4dgeo_is_named_before_the_run(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "py4dgeo", None)
+    cloud = small_station.parent / "dense/cloud.ply"
+    outcome = malus_here("assess", small_station, "-o", tmp_path / "work", "--reference", cloud, "--m3c2")
+    assert outcome.code == 4 and "malus[m3c2]" in " ".join(outcome.err.split())
+    assert not (tmp_path / "work").exists()
