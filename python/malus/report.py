@@ -201,7 +201,10 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     ]  # fmt: skip
     optional = ("profiles", "patches", "reference", "scale", "control", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
-    absent |= {"height", "m3c2"} - {name for name, group in figures.items() if group}
+    if not figures["m3c2"]:
+        absent.add("m3c2")
+    if quality["polarization_height"] is None:
+        absent.add("height")
     return [(name, title) for name, title in every if name not in absent]
 
 
