@@ -4,6 +4,7 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
@@ -35,6 +36,10 @@ void bind_decompose(py::module_& module, const char* name) {
              py::arg("threads"));
 }
 
+double accepted(double eta) {
+  return accepted_refractive_index(eta, "refractive_index");
+}
+
 /// Getter of a raster of a state. The array shares the state's memory.
 template <class T>
 auto raster(Image<T> PolarizationState::*member) {
@@ -44,15 +49,17 @@ auto raster(Image<T> PolarizationState::*member) {
 }  // namespace
 
 void bind_polarization(py::module_& module) {
-  module.def("diffuse_degree", py::vectorize(&diffuse_degree));
-  module.def("specular_degree", py::vectorize(&specular_degree));
+  module.def("diffuse_degree",
+             py::vectorize([](double zenith, double eta) { return diffuse_degree(zenith, accepted(eta)); }));
+  module.def("specular_degree",
+             py::vectorize([](double zenith, double eta) { return specular_degree(zenith, accepted(eta)); }));
   module.def("diffuse_zenith",
-             py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, eta).zenith_rad; }));
+             py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, accepted(eta)).zenith_rad; }));
   module.def("specular_zenith", py::vectorize([](double degree, double eta, bool above_brewster) {
                const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
-               return specular_zenith(degree, eta, branch).zenith_rad;
+               return specular_zenith(degree, accepted(eta), branch).zenith_rad;
              }));
-  module.def("brewster_angle", &brewster_angle);
+  module.def("brewster_angle", [](double eta) { return brewster_angle(accepted(eta)); });
 
   py::class_<PolarizationState>(module, "PolarizationState")
       .def_property_readonly("unpolarized", raster(&PolarizationState::i_un))

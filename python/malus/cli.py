@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Protocol, TextIO, TypeAlias
 
 import malus
-from malus import _core, batch, m3c2, registration, studio
+from malus import _core, batch, m3c2, registration, scans, studio
 from malus._files import require_utf8
 from malus.campaign import Campaign, require_kind
 from malus.change import change_summary
@@ -34,7 +34,6 @@ from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
 from malus.reconstruction import PLATES_SECONDS, expected_times
 from malus.report_head import size_of_object
-from malus.scans import is_scan
 from malus.shell import SHELLS, completion, manual
 from malus.threads import ALL_CORES
 
@@ -221,7 +220,12 @@ def _add_runs(add: _Add) -> None:
         steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
         steps[name].epilog = _leaves(until, fusion)
     for command in (run, paper, steps["assess"]):
-        command.add_argument("--reference", type=Path, metavar="SCAN.ply", help="compare with this cloud or mesh")
+        command.add_argument(
+            "--reference",
+            type=Path,
+            metavar="SCAN.ply",
+            help="compare with this cloud or mesh (PLY, text, LAS or E57)",
+        )
         command.add_argument(
             "--register",
             action="store_true",
@@ -412,20 +416,20 @@ def _reconstruct(
     for flag in ("m3c2", "register"):
         if getattr(args, flag, False) and reference is None:
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
+    if getattr(args, "m3c2", False):
+        m3c2.require_library()  # now, not after hours of work
     if register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():
         raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
-    # Both would be found only after all other steps.
-    if reference is not None and is_scan(reference):
-        raise InputError(f"--reference {reference}: is LAS or E57, expected PLY, or text with x y z in each line")
-    if getattr(args, "m3c2", False):
-        m3c2.require_package()
     _require_own_folder(args.output, station_path)
     require_kind(station_path, "station")
     station = malus.Station.load(station_path)
     if getattr(args, "pixels", None):
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
+    if reference is not None and scans.is_scan(reference):
+        _core.claim_workspace(str(args.output), station._core, args.replace)
+        reference = scans.as_ply(reference, station.unit, args.output / "reference")
     with _view(args) as view:
         expected = expected_times(station, options, until=until, threads=args.threads)
         if args.command == "paper":
@@ -452,6 +456,8 @@ def _reconstruct(
             reference = registration.register_reference(args.output, reference)
             view.progress("register", 1.0, str(reference))
         reconstruct(until)
+        if until == "height":
+            _warn_of_height(view, args.output)
         if getattr(args, "m3c2", False) and reference is not None:
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, reference)
@@ -471,6 +477,15 @@ def _reconstruct(
         _print_files(args.output, until)
     if confidence is not None:
         _print_summary(args.output, *confidence, quiet=args.quiet)
+
+
+def _warn_of_height(view: ProgressView, work: Path) -> None:
+    """Warn if the height that was asked for could not be computed, or was still changing at the end."""
+    status = malus.Workspace(work).manifest["steps"]["height"]["notes"]["status"]
+    if status == "iteration limit":
+        view.log("warning", "the height was still changing at the end; with a larger height.iterations it goes on")
+    elif status != "converged":
+        view.log("warning", f"there is no height from polarization, height/height.tif is empty: {status}")
 
 
 def _pixel(text: str) -> tuple[int, int]:

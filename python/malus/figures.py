@@ -525,10 +525,12 @@ class Plates:
         )  # fmt: skip
 
     def height(self) -> Iterator[Figure]:
-        """Height from polarization alone as a map and as relief (Fig. 6 and 7)."""
+        """Height from polarization alone as a map and as relief (Fig. 6 and 7); none if it could not be computed."""
         if self.quality["polarization_height"] is None:
             return
         raster = self.raster("height/height.tif")
+        if not np.isfinite(raster).any():
+            return
         yield self._map(
             raster,
             _Map(

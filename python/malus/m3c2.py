@@ -41,8 +41,8 @@ def _py4dgeo() -> ModuleType:
     return library
 
 
-def require_package() -> None:
-    """ExternalError without py4dgeo."""
+def require_library() -> None:
+    """Raise ExternalError if py4dgeo is not installed."""
     _py4dgeo()
 
 

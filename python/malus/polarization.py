@@ -101,7 +101,7 @@ def decompose(
 
 
 def diffuse_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
-    """Degree of linear polarization of diffuse reflection (Eq 6), any shape."""
+    """Degree of linear polarization of diffuse reflection (Eq 6), any shape. InputError unless the index is from 1.05 to 3."""
     return _core.diffuse_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
 
 

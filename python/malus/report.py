@@ -80,8 +80,11 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
         lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
         distance = quality["reference"]["distance_gsd"]
-        rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
-        lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+        if distance["count"] == 0:
+            lines.append(f"  distance to the reference: {quality['reference']['status']}")
+        else:
+            rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
+            lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
     lines += [f"  warning: {warning}" for warning in quality["warnings"]] or ["  no warnings"]
     return lines
 
@@ -198,7 +201,10 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     ]  # fmt: skip
     optional = ("profiles", "patches", "reference", "scale", "control", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
-    absent |= {"height", "m3c2"} - {name for name, group in figures.items() if group}
+    if not figures["m3c2"]:
+        absent.add("m3c2")
+    if quality["polarization_height"] is None:
+        absent.add("height")
     return [(name, title) for name, title in every if name not in absent]
 
 

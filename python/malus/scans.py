@@ -1,8 +1,9 @@
-"""Reading point clouds in LAS and E57 as a station's prior, before the C++ library runs (extra `export`: laspy, pye57)."""
+"""Reading point clouds in LAS and E57, as a prior or a reference, for the C++ library (extra `export`: laspy, pye57)."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,19 @@ def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     if not len(points):
         raise InputError(f"{path}: has no points")
     return points, normals
+
+
+def as_ply(path: Path, unit: str, folder: Path) -> Path:
+    """FOLDER/scan.ply with a cloud in LAS or E57, in `unit`, which the C++ library can read. Raises the errors of `read_scan`."""
+    from malus.object.ply import write_ply  # malus.object imports this module
+
+    points, normals = read_scan(path, unit)
+    columns: dict[str, tuple[NDArray[Any], str]] = {axis: (points[:, k], "f8") for k, axis in enumerate("xyz")}
+    if normals is not None:
+        columns |= {f"n{axis}": (normals[:, k], "f4") for k, axis in enumerate("xyz")}
+    folder.mkdir(parents=True, exist_ok=True)
+    write_ply(folder / "scan.ply", columns, None, "reference scan")
+    return folder / "scan.ply"
 
 
 def _read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:

@@ -90,6 +90,10 @@ def test_fresnel_degrees() -> None:
         np.testing.assert_allclose(diffuse, (rs - rp) / (2 - rs - rp), atol=1e-9)
         np.testing.assert_allclose(malus.polarization.specular_degree(zenith, eta), (rs - rp) / (rs + rp), atol=1e-9)
     assert malus.polarization.brewster_angle(1.5) == pytest.approx(np.arctan(1.5))
+    for function in ("diffuse_degree", "specular_degree", "diffuse_zenith", "specular_zenith", "brewster_angle"):
+        for eta in (0.9, 1.0, 3.2, np.nan):
+            with pytest.raises(malus.InputError, match=r"refractive_index = .*, expected a value from 1.05 to 3"):
+                getattr(malus.polarization, function)(*([] if function == "brewster_angle" else [0.1]), eta)
 
 
 def test_options_are_checked() -> None:

@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import malus
-from conftest import ROOT, edit, malus_station
+from conftest import QUICK_WORDS, ROOT, edit, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
@@ -560,6 +560,20 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
     )
     edit(small_station, "light = [0.5, -0.4, -0.7]", "light = [0, 0, 1]")
     assert run_malus("height", small_station, "-o", tmp_path / "known").code == 2
+
+
+def test_a_height_that_cannot_be_computed_is_said_to_be_none(small_station: Path, tmp_path: Path) -> None:
+    """Light from where the camera is does not distinguish slopes."""
+    with small_station.open("a") as file:
+        file.write("\n[optics]\nlight = [0, 0, -1]\n")
+    work, why = tmp_path / "work", "light along the view direction"
+    outcome = run_malus("height", small_station, "-o", work, "--threads", "2")
+    assert outcome.code == 0 and f"there is no height from polarization, height/height.tif is empty: {why}" in outcome.err
+    outcome = run_malus("run", small_station, "-o", work, *QUICK_WORDS, "--threads", "2")
+    assert outcome.code == 0, outcome.err
+    page = (work / "report/index.html").read_text(encoding="utf-8")
+    assert f"There is none: {why}." in page
+    assert not (work / "report/figures/polarization_height.png").exists()
 
 
 def test_light_of_a_rendered_bust_without_its_prior() -> None:

@@ -109,6 +109,19 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert alone.code == 2 and "--register needs a reference" in alone.err
 
 
+def test_a_reference_that_is_nowhere_near_does_not_end_the_run(small_station: Path, tmp_path: Path) -> None:
+    """Such as a scan in another unit or frame."""
+    np.savetxt(tmp_path / "scan.xyz", relief(1) + 1e4)
+    work = tmp_path / "work"
+    outcome = run_malus(
+        "run", small_station, "-o", work, "--fusion", "grid", "--reference", tmp_path / "scan.xyz", "--threads", "2"
+    )
+    assert outcome.code == 0, outcome.err
+    assert "distance to the reference: no pixel near the reference" in outcome.out
+    assert "expected in the station's unit and frame" in " ".join(outcome.err.split())
+    assert "no pixel near the reference" in (work / "report/index.html").read_text(encoding="utf-8")
+
+
 def test_thinning_counts_only_points_that_the_surface_has(
     finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""Clouds in LAS and E57 as a prior."""
+"""Clouds in LAS and E57 as a prior and as a reference."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 
 import malus
 from conftest import edit, malus_station
+from conftest import malus as run_malus
+from malus import _core
 from malus.scans import read_scan
 
 
@@ -64,6 +66,23 @@ def test_e57_is_in_meters_and_in_its_common_frame(tmp_path: Path, cloud: tuple[n
     points, normals = read_scan(tmp_path / "cloud.e57", "mm")
     np.testing.assert_allclose(points, cloud[0], atol=1e-4)
     assert normals is None
+
+
+@pytest.mark.parametrize("name", ["scan.las", "scan.e57"])
+def test_a_reference_may_be_a_scan(tiny_station_source: Path, tmp_path: Path, name: str) -> None:
+    pytest.importorskip("laspy" if name.endswith("las") else "pye57")
+    station = tiny_station_source / "station.toml"
+    points = _core.read_points(str(malus.Station.load(station).describe()["prior_cloud"]))
+    if name.endswith("las"):
+        write_las(tmp_path / name, points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    else:
+        write_e57(tmp_path / name, points)
+    outcome = run_malus(
+        "assess", station, "-o", tmp_path / "work", "--fusion", "grid", "--reference", tmp_path / name, "--threads", "2"
+    )
+    assert outcome.code == 0, outcome.err
+    reference = malus.Workspace(tmp_path / "work").quality["reference"]
+    assert reference["compared_fraction"] > 0.9 and reference["distance_gsd"]["mad"] < 2
 
 
 @pytest.mark.parametrize("name", ["cloud.las", "cloud.e57"])

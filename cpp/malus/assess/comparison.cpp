@@ -165,7 +165,9 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
       std::count_if(surface.depth.begin(), surface.depth.end(), [](float z) { return std::isfinite(z); });
   if (distances_gsd.empty()) {
     result.status = ComparisonStatus::nothing_near;
-    context.log(LogLevel::warning, "no pixel is near the reference (assess.max_distance_gsd)" + own_frame);
+    context.log(LogLevel::warning,
+                "no pixel is near the reference (assess.max_distance_gsd), expected in the station's unit and frame" +
+                    own_frame);
   } else if (options.alignment == Alignment::none && is_mostly_beyond(result.distance, beside_gsd * gsd)) {
     context.log(LogLevel::warning, "half of the surface lies farther than " + std::to_string(beside_gsd) +
                                        " GSD from the reference" + own_frame);

@@ -3,11 +3,14 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <optional>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/disjoint_sets_internal.h"
 #include "malus/core/fields.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
@@ -102,7 +105,7 @@ void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const C
     weight[i] = known ? 1 : 0;
   }
   std::vector<bool> done(nodes.count(), false);
-  const double widest = 2.0 * std::max(nodes.width(), nodes.height());
+  const double widest = std::max(sigma, 2.0 * std::max(nodes.width(), nodes.height()));
   for (double width = sigma; width <= widest; width = std::max(2 * width, 1.0)) {
     Image<double> s(nodes.size()), w(nodes.size()), s2(nodes.size()), w2(nodes.size());
     blur_axis(context, sum, weight, width, true, s, w);
@@ -116,6 +119,63 @@ void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const C
     }
     if (all) return;
   }
+}
+
+/// A height with its parts (4-neighborhood) where they lie relative to each other in the prior; empty if it has only
+/// one part. The equations give slopes, so each part has a free constant, and the Gaussian over the nodes would mix the
+/// constants across the gaps between parts.
+Image<float> with_parts_in_place(const Image<float>& height, const Image<float>& prior, const Context& context) {
+  const auto width = static_cast<std::size_t>(height.width());
+  const auto is_known = [&](std::size_t i) { return std::isfinite(height[i]); };
+  DisjointSets sets(height.count());
+  std::optional<std::size_t> gap;  // all pixels without a height are one set
+  for (std::size_t i = 0; i < height.count(); ++i) {
+    if (!is_known(i)) {
+      if (!gap) gap = i;
+      sets.join(static_cast<int>(*gap), static_cast<int>(i));
+      continue;
+    }
+    if (i % width > 0 && is_known(i - 1)) sets.join(static_cast<int>(i - 1), static_cast<int>(i));
+    if (i >= width && is_known(i - width)) sets.join(static_cast<int>(i - width), static_cast<int>(i));
+  }
+  const std::pair<std::vector<int>, int> numbered = std::move(sets).numbered();
+  const std::vector<int>& part_of = numbered.first;
+  if (numbered.second - (gap ? 1 : 0) < 2) return {};
+
+  struct Offset {
+    double sum = 0, pixels = 0;
+    double mean() const { return pixels > 0 ? sum / pixels : 0; }
+  };
+  std::vector<Offset> offsets(static_cast<std::size_t>(numbered.second));
+  for (std::size_t i = 0; i < height.count(); ++i) {
+    const double offset = static_cast<double>(prior[i]) - height[i];
+    if (!std::isfinite(offset)) continue;
+    Offset& of_part = offsets[static_cast<std::size_t>(part_of[i])];
+    of_part.sum += offset;
+    of_part.pixels += 1;
+  }
+  // The largest part stays.
+  const Offset largest = *std::max_element(offsets.begin(), offsets.end(),
+                                           [](const Offset& a, const Offset& b) { return a.pixels < b.pixels; });
+  Image<float> placed = height;
+  parallel_rows(context, height.height(), [&](int v) {
+    for (int u = 0; u < height.width(); ++u) {
+      const std::size_t pixel = static_cast<std::size_t>(v) * width + static_cast<std::size_t>(u);
+      const Offset& offset = offsets[static_cast<std::size_t>(part_of[pixel])];
+      if (offset.pixels > 0) placed[pixel] += static_cast<float>(offset.mean() - largest.mean());
+    }
+  });
+  return placed;
+}
+
+/// The error for a grid with no node where both surfaces have a height.
+Error no_common_node(const Image<float>& polarization, const Image<float>& prior, int grid_px) {
+  for (std::size_t i = 0; i < prior.count(); ++i) {
+    if (std::isfinite(prior[i] - polarization[i]))
+      return input_error("grid.grid_px = " + std::to_string(grid_px) +
+                         ": no node of the grid lies on the object, expected a grid finer than the object");
+  }
+  return data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
 }
 
 /// Maps a surface to 0 … 1 by its own range, as printed in the paper.
@@ -153,8 +213,7 @@ struct Transfer {
         any = any || std::isfinite(nodes(i, j));
       }
     }
-    if (!any)
-      throw data_error("prior and polarization height share no node of the grid, expected surfaces that overlap");
+    if (!any) throw no_common_node(polarization, prior, options.grid_px);
     disagreement.values() = nodes;
     const Mask needed = difference.nodes_under(prior, context);
     smooth_nodes(nodes, needed, options.sigma_nodes, context);
@@ -210,16 +269,16 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   context.progress("fuse", 0.1, "grid transfer");
   const double focal = prior.camera.focal();
   Image<float> coarse = height_from_depth(prior.depth, prior.camera, height.perspective, context);
-  Image<float> unit_height;
+  Image<float> changed = with_parts_in_place(height.height, coarse, context);  // empty: the height is taken as it is
   double scale = 1;
   if (options.unit_scaling) {
     const UnitRange prior_range(coarse);
     scale = prior_range.span;
     prior_range.to_unit(coarse);
-    unit_height = height.height;
-    UnitRange(unit_height).to_unit(unit_height);
+    if (changed.empty()) changed = height.height;
+    UnitRange(changed).to_unit(changed);
   }
-  const Image<float>& polarization = options.unit_scaling ? unit_height : height.height;
+  const Image<float>& polarization = changed.empty() ? height.height : changed;
   const Transfer transfer(polarization, coarse, options, context);
 
   FusedSurface surface;

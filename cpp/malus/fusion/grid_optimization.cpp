@@ -7,6 +7,7 @@
 #include <limits>
 #include <memory>
 #include <numbers>
+#include <string>
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
@@ -24,6 +25,9 @@ constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int tile_px = 256, margin_px = 24;
 /// Width of the strip of pixels along a tile's cut that are held.
 constexpr int held_px = 2;
+/// The widest cell whose mean is compared with the prior's. The mean joins each pixel of a cell with every other one,
+/// so memory grows with the square of the width: here a tile's normal equations have some 75 million entries.
+constexpr int widest_cell_px = 32;
 /// Weight of the difference of both slopes to the prior's. Without it a pixel could leave the surface at no cost where
 /// the equations contradict each other (a zenith of 90°, a wrong branch), because their residuals are bounded.
 constexpr double slope_weight = 0.1;
@@ -140,7 +144,7 @@ class Tile {
   void add_equations(int u, int v) {
     const Reflection kind = input_.reflection.at(u, v);
     if (kind == Reflection::outside || !has(u, v)) return;
-    AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
+    AffineSlopes slopes = slopes_of_height(&input_.prior.camera);
     if (camera_ != nullptr) {
       slopes = slopes_of_log_depth(*camera_, u, v);
       const double scale = -1 / camera_->focal();
@@ -227,7 +231,7 @@ class Tile {
   }
 
   const Image<float>&heights_, &prior_heights_;
-  const Pinhole* camera_;
+  const Pinhole* camera_;  ///< null = orthographic
   const OptimizeInput& input_;
   const OptimizeOptions& options_;
   const Box box_;
@@ -245,6 +249,10 @@ void validate(const FusedSurface& surface, const OptimizeInput& input, const Opt
   require_size(input.prior.depth, size, "prior depth");
   if (!(input.light.head<3>().norm() > 0))
     throw input_error("optimize.enabled = true needs the light that the polarization height was found with");
+  if (input.cell_px > widest_cell_px && options.prior_weight > 0)
+    throw input_error("grid.grid_px = " + std::to_string(input.cell_px) +
+                      " with optimize.enabled = true, expected at most " + std::to_string(widest_cell_px) +
+                      ": wider cells take too much memory");
 }
 
 /// Heights of all tiles, blended across their cuts. `unfinished` counts the tiles that did not converge.

@@ -12,6 +12,7 @@
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/refractive_index_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/gain_by_scale_internal.h"
@@ -793,7 +794,8 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   const auto start = std::chrono::steady_clock::now();
   validate_fields(options, "fusion");
   RefinementImage image = make_image(state, prior, context);
-  if (input.refractive_index) image.reflection.eta = *input.refractive_index;
+  if (input.refractive_index)
+    image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");
   RefineResult result;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);

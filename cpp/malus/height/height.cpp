@@ -256,7 +256,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
                        const Context& context) {
   validate(input, options);
   const PolarizationState& state = input.polarization;
-  const Pinhole* camera = options.perspective ? input.camera : nullptr;
+  const Pinhole* camera = input.is_perspective(options) ? input.camera : nullptr;
   HeightMap map;
   map.perspective = camera != nullptr;
   map.height = Image<float>(state.size(), 1, none);

@@ -10,8 +10,9 @@ namespace {
 
 constexpr float none = HeightPixel::no_height;
 
-HeightData empty_data(Size size, double refractive_index) {
+HeightData empty_data(Size size, double refractive_index, bool perspective) {
   HeightData data;
+  data.perspective = perspective;
   data.refractive_index = refractive_index;
   data.object = Mask(size);
   data.pixels = Image<HeightPixel>(size);
@@ -81,8 +82,8 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
   const PolarizationState& state = input.polarization;
   const ReflectionMap& reflection = input.reflection;
   const bool with_border = options.boundary == HeightBoundary::prior;
-  HeightData data = empty_data(box.size(), reflection.refractive_index);
-  if (options.perspective && input.camera != nullptr) data.camera = input.camera->cropped(box);
+  HeightData data = empty_data(box.size(), reflection.refractive_index, input.is_perspective(options));
+  if (input.camera != nullptr) data.camera = input.camera->cropped(box);
   const StokesVariances variances(state);
   parallel_rows(context, box.height(), [&](int row) {
     const int v = box.v0 + row;
@@ -124,6 +125,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
 HeightData part_of(const HeightData& whole, PixelRect box) {
   HeightData part;
   if (whole.camera) part.camera = whole.camera->cropped(box);
+  part.perspective = whole.perspective;
   part.refractive_index = whole.refractive_index;
   part.object = cropped(whole.object, box);
   part.pixels = cropped(whole.pixels, box);
@@ -132,7 +134,7 @@ HeightData part_of(const HeightData& whole, PixelRect box) {
 
 HeightData coarsened(const HeightData& fine, const Context& context) {
   const Size size{(fine.size().width + 1) / 2, (fine.size().height + 1) / 2};
-  HeightData coarse = empty_data(size, fine.refractive_index);
+  HeightData coarse = empty_data(size, fine.refractive_index, fine.perspective);
   if (fine.camera) coarse.camera = fine.camera->binned();
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row);
@@ -143,8 +145,8 @@ HeightData coarsened(const HeightData& fine, const Context& context) {
 HeightData coarsened(const HeightInput& input, const HeightOptions& options, const Context& context) {
   constexpr int band_rows = 32;
   const Size fine = input.polarization.size(), size{(fine.width + 1) / 2, (fine.height + 1) / 2};
-  HeightData coarse = empty_data(size, input.reflection.refractive_index);
-  if (options.perspective && input.camera != nullptr) coarse.camera = input.camera->binned();
+  HeightData coarse = empty_data(size, input.reflection.refractive_index, input.is_perspective(options));
+  if (input.camera != nullptr) coarse.camera = input.camera->binned();
   Context inner = context;
   inner.threads = 1;
   const auto bands = static_cast<std::size_t>((fine.height + band_rows - 1) / band_rows);

@@ -24,7 +24,8 @@ struct HeightPixel {
 
 /// Data for the height of a raster: the station's, a part of it, or one of lower resolution.
 struct HeightData {
-  std::optional<Pinhole> camera;  ///< of this raster; none = orthographic
+  std::optional<Pinhole> camera;  ///< of this raster; none = orthographic, square pixels
+  bool perspective = false;       ///< false: of the camera, only the shape of its pixels counts
   double refractive_index = 1.5;
   Mask object;  ///< pixels that get a height
   Image<HeightPixel> pixels;

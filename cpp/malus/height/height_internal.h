@@ -19,7 +19,7 @@ namespace malus {
 struct HeightInput {
   const PolarizationState& polarization;
   const ReflectionMap& reflection;
-  const Pinhole* camera = nullptr;  ///< null = orthographic
+  const Pinhole* camera = nullptr;  ///< null = orthographic, square pixels
   /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); empty = estimated, with the prior's
   /// normals if given, else from polarization alone.
   std::optional<Eigen::Vector4d> light;
@@ -27,6 +27,9 @@ struct HeightInput {
   const Image<float>* prior_height = nullptr;   ///< form of HeightMap::height; start, and HeightBoundary::prior
   /// Result of estimate_light with the prior's normals, if already known; replaces `prior_normals`.
   std::optional<LightEstimate> estimated_light = std::nullopt;
+
+  /// Whether the rays are the camera's, not parallel.
+  bool is_perspective(const HeightOptions& options) const { return options.perspective && camera != nullptr; }
 };
 
 /// Up to this number of pixels the likelihood method solves a raster as a whole. Larger rasters are solved at half the

@@ -27,6 +27,7 @@ HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& option
       options_(options),
       light_(light),
       camera_(data.camera ? &*data.camera : nullptr),
+      rays_(data.perspective ? camera_ : nullptr),
       context_(context),
       pixels_(data.object),
       system_(pixels_),
@@ -122,13 +123,13 @@ void HeightProblem::Term::add_row(const AffineSlopes& slopes, double p, double q
 }
 
 HeightProblem::Frame HeightProblem::frame_at(int u, int v) const {
-  AffineSlopes slopes{{0, 0}, {-1, 0}, {0, 1}};
-  if (camera_ != nullptr) {
-    slopes = slopes_of_log_depth(*camera_, u, v);
-    const double scale = -1 / camera_->focal();
+  AffineSlopes slopes = slopes_of_height(camera_);
+  if (rays_ != nullptr) {
+    slopes = slopes_of_log_depth(*rays_, u, v);
+    const double scale = -1 / rays_->focal();
     for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
   }
-  const RayFrame frame = ray_frame(camera_, u, v);
+  const RayFrame frame = ray_frame(rays_, u, v);
   const Eigen::Vector3d light = light_.coefficients.head<3>();
   const auto single = [](double value) { return static_cast<float>(value); };
   return {single(slopes.constant.p),      single(slopes.constant.q),   single(slopes.per_u.p),

@@ -118,6 +118,7 @@ class HeightProblem {
   const HeightOptions& options_;
   const HeightLight light_;
   const Pinhole* camera_;
+  const Pinhole* rays_;  ///< the camera; null = orthographic
   const Context& context_;
   PixelIndex pixels_;
   GridSystem system_;

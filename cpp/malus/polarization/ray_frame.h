@@ -57,6 +57,15 @@ struct AffineSlopes {
   }
 };
 
+/// Slopes from the derivatives along u and v of a height in GSD, positive towards the camera, in an orthographic view
+/// (RayFrame's default). With a camera whose pixels are not square, a pixel is focal() / fx GSD wide and focal() / fy
+/// high; without a camera (null) pixels are square.
+inline AffineSlopes slopes_of_height(const Pinhole* camera) {
+  const double per_width = camera != nullptr ? camera->fx / camera->focal() : 1;
+  const double per_height = camera != nullptr ? camera->fy / camera->focal() : 1;
+  return {{0, 0}, {-per_width, 0}, {0, per_height}};
+}
+
 /// Slopes from the derivatives of L = ln z along u and v. The normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v)
 /// has n · view = 1 / |r|, r = the pixel's ray with z = 1, so that P = |r| n · right and Q = |r| n · up are affine.
 inline AffineSlopes slopes_of_log_depth(const Pinhole& camera, double u, double v) {

@@ -4,7 +4,7 @@
 #include <limits>
 #include <numbers>
 #include <optional>
-#include <sstream>
+#include <string>
 #include <vector>
 
 #include "malus/core/cell_values_internal.h"
@@ -103,13 +103,7 @@ bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& op
 void validate(const PolarizationState& state, const Image<float>* prior_normals, const Image<std::uint8_t>* labels,
               const ReflectionOptions& options) {
   validate_fields(options, "optics");
-  const double eta = options.refractive_index;
-  if (!(eta >= least_refractive_index && eta <= largest_refractive_index)) {
-    std::ostringstream message;
-    message << "optics.refractive_index = " << eta << ", expected a value from " << least_refractive_index << " to "
-            << largest_refractive_index;
-    throw input_error(message.str());
-  }
+  accepted_refractive_index(options.refractive_index, "optics.refractive_index");
   if (prior_normals != nullptr) {
     require_size(*prior_normals, state.size(), "prior normals");
     if (prior_normals->channels() != 3) throw input_error("prior normals: expected 3 channels");

@@ -163,7 +163,7 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
   if (prior != nullptr) height = height_from_depth(prior->depth, view.camera, camera != nullptr, job.context);
   return solve_height({.polarization = state,
                        .reflection = reflection,
-                       .camera = camera,
+                       .camera = station.known_lens() ? &view.camera : nullptr,
                        .light = std::nullopt,
                        .prior_normals = nullptr,
                        .prior_height = prior != nullptr ? &height : nullptr,

@@ -137,6 +137,42 @@ TEST(GridFusion, GapsInTheHeightKeepThePriorAndGapsInThePriorStayEmpty) {
   EXPECT_NE(fused.warnings[0].find("its slopes by 0.7° in the last of 12 rounds"), std::string::npos);
 }
 
+TEST(GridFusion, PartsThatNothingConnectsKeepTheirPlacesInThePrior) {
+  // Two fragments, and between them a chip so small that no node (pixels 2 + 4 i) lies on it.
+  const Size size{96, 48};
+  const auto part_of = [](int u, int v) {
+    if (u < 40) return 0;
+    if (u >= 56) return 1;
+    return (u == 47 || u == 48) && (v == 20 || v == 21) ? 2 : -1;
+  };
+  constexpr double in_prior[] = {0, 50, -30}, constants[] = {0, 3, 5};
+  const auto on_parts = [&](const double* heights) {
+    return [=](int u, int v) { return part_of(u, v) < 0 ? static_cast<double>(none) : heights[part_of(u, v)]; };
+  };
+  const DepthPrior prior = prior_of(size, on_parts(in_prior));
+  const FusedSurface fused = fuse_grid(map_of(size, on_parts(constants)), prior, {}, {});
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      const int part = part_of(u, v);
+      ASSERT_EQ(std::isfinite(fused.depth(u, v)), part >= 0);
+      if (part < 0) continue;
+      ASSERT_NEAR(height_of(fused, u, v), in_prior[part], 0.01) << u << ' ' << v;
+      ASSERT_NEAR(fused.sigma(u, v), prior.sigma(u, v), 1e-4) << u << ' ' << v;
+    }
+  }
+}
+
+TEST(GridFusion, GaussianWiderThanTheGridLeavesOnlyTheMeanDifference) {
+  const Size size{40, 40};
+  const DepthPrior prior = prior_of(size, [](int, int) { return 12; });
+  const auto checker = [](int u, int v) { return (u / 4 + v / 4) % 2 == 0 ? 1.0 : -1.0; };
+  GridFusionOptions options;
+  options.sigma_nodes = 100;
+  const FusedSurface fused = fuse_grid(map_of(size, checker), prior, options, {});
+  EXPECT_NEAR(height_of(fused, 18, 18), 12 + checker(18, 18), 0.02);
+  EXPECT_NEAR(height_of(fused, 22, 18), 12 + checker(22, 18), 0.02);
+}
+
 TEST(GridFusion, SigmaAddsTheDisagreementInDetail) {
   const Size size{80, 80};
   const DepthPrior prior = prior_of(
@@ -176,6 +212,12 @@ TEST(GridFusion, RejectsMismatchedInputsAndInvalidOptions) {
   }
   expect_error(
       ErrorCode::data, [&] { fuse_grid(elsewhere, left, {}, {}); }, "share no node");
+  GridFusionOptions wide;
+  wide.grid_px = 32;  // its node lies at pixel 16, 16
+  expect_error(
+      ErrorCode::input,
+      [&] { fuse_grid(map_of(size, [](int u, int v) { return u < 9 && v < 9 ? 1.0 : none; }), prior, wide, {}); },
+      "grid.grid_px = 32");
   DepthPrior unsure = prior;
   unsure.sigma = {};
   expect_error(ErrorCode::input, [&] { fuse_grid(height, unsure, {}, {}); });

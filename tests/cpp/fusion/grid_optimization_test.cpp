@@ -9,6 +9,7 @@
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
 #include "synthetic_station.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -109,6 +110,39 @@ TEST(GridOptimization, StrongPriorKeepsTheMeansOfItsCells) {
   EXPECT_NEAR(sum / 16 / gsd, 0, 1e-3);
 }
 
+TEST(GridOptimization, OrthographicEquationsAllowForTheShapeOfPixels) {
+  // An inclined plane, as prior and start, satisfies all equations.
+  const Size size{40, 36};
+  const Pinhole camera{size, 1100, 900, 20, 18};
+  const double distance = 500, rise_u = 0.3, rise_v = 0.2;  // GSD per pixel
+  const Slopes slopes{-rise_u * camera.fx / camera.focal(), rise_v * camera.fy / camera.focal()};
+  const Eigen::Vector3d normal = RayFrame{}.normal(slopes);
+  const Eigen::Vector4d light(0.3, -0.4, -0.8, 0.05);
+  DepthPrior prior;
+  prior.camera = camera;
+  prior.depth = Image<float>(size);
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      const double height = rise_u * (u - 19.5) + rise_v * (v - 17.5);
+      prior.depth(u, v) = static_cast<float>(distance * (1 - height / camera.focal()));
+    }
+  }
+  PolarizationState state;
+  state.phi = Image<float>(size, 1, static_cast<float>(slopes.azimuth_rad()));
+  state.i_un = Image<float>(size, 1, static_cast<float>(light.head<3>().dot(normal) + light[3]));
+  ReflectionMap reflection;
+  reflection.label = Image<std::uint8_t>(size, 1, static_cast<std::uint8_t>(Reflection::diffuse));
+  reflection.zenith = Image<float>(size, 1, static_cast<float>(std::atan(std::sqrt(slopes.tan2()))));
+  FusedSurface surface;
+  surface.camera = camera;
+  surface.depth = prior.depth;
+  optimize_grid_surface(surface, {state, reflection, prior, light, false, 4}, of_equations_only(), {});
+  double largest = 0;
+  for (std::size_t i = 0; i < surface.depth.count(); ++i)
+    largest = std::max(largest, std::abs<double>(surface.depth[i] - prior.depth[i]));
+  EXPECT_LT(largest / (distance / camera.focal()), 0.05);
+}
+
 TEST(GridOptimization, ReportsTheIterationLimit) {
   OptimizeOptions options = of_equations_only();
   options.iterations = 1;
@@ -129,6 +163,14 @@ TEST(GridOptimization, NeedsALight) {
   Scene scene;
   scene.light.setZero();
   EXPECT_THROW(scene.optimized({}), Error);
+}
+
+TEST(GridOptimization, RefusesCellsThatTakeTooMuchMemory) {
+  const Scene scene;
+  FusedSurface surface = scene.start();
+  const OptimizeInput input{scene.station.state, scene.reflection, scene.station.prior, scene.light, true, 33};
+  expect_error(
+      ErrorCode::input, [&] { optimize_grid_surface(surface, input, {}, {}); }, "grid.grid_px = 33");
 }
 
 }  // namespace

@@ -299,6 +299,15 @@ TEST(Refine, UsesGivenLabels) {
   EXPECT_THROW(refine(station.state, station.prior, input, options, Context{}), Error);
 }
 
+TEST(Refine, RejectsAnIndexThatStationFilesCannotHave) {
+  const SyntheticStation station = make_station({});
+  for (const double eta : {1.0, 3.2}) {
+    RefineInput input;
+    input.refractive_index = eta;
+    EXPECT_THROW(refine(station.state, station.prior, input, {}, Context{}), Error);
+  }
+}
+
 TEST(Refine, RejectsMismatchedInputsAndInvalidOptions) {
   const SyntheticStation station = make_station({});
   DepthPrior other = station.prior;

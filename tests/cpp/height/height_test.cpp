@@ -101,6 +101,34 @@ TEST(Height, SolvesSpecularReflection) {
   EXPECT_NEAR(height_scale(scene, map), 1, 0.01);
 }
 
+TEST(Height, OrthographicHeightAllowsForTheShapeOfPixels) {
+  const Pinhole camera{{120, 120}, 1100, 900, 60, 60};
+  const double radius = 50;
+  const Surface dome = [&](int u, int v, double& height, Eigen::Vector3d& normal) {
+    const double x = (u - camera.cx) * camera.focal() / camera.fx, y = (v - camera.cy) * camera.focal() / camera.fy;
+    const double z2 = radius * radius - x * x - y * y;
+    if (z2 < 0.25 * radius * radius) return false;
+    height = std::sqrt(z2);
+    normal = Eigen::Vector3d(x, y, -height) / radius;
+    return true;
+  };
+  const Scene scene = render(dome, camera.size, nullptr, light_right, 0);
+  HeightOptions options;
+  options.perspective = false;
+  const HeightMap map = solve(scene, options, &camera);
+  EXPECT_EQ(map.status, HeightStatus::converged);
+  EXPECT_FALSE(map.perspective);
+  double sum = 0, squares = 0, count = 0;
+  for (std::size_t i = 0; i < scene.truth.count(); ++i) {
+    const double error = static_cast<double>(map.height[i]) - scene.truth[i];
+    if (!std::isfinite(error)) continue;
+    sum += error;
+    squares += error * error;
+    count += 1;
+  }
+  EXPECT_LT(std::sqrt(squares / count - sum * sum / (count * count)), 0.3);
+}
+
 TEST(Height, PerspectiveHeightIsTheMetricSurface) {
   const Pinhole camera{{110, 100}, 400, 400, 30, 62};
   const Eigen::Vector4d light(0.3, -0.2, -0.8, 0.05);
