@@ -80,8 +80,11 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
         lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
         distance = quality["reference"]["distance_gsd"]
-        rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
-        lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+        if distance["count"]:
+            rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
+            lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+        else:
+            lines.append(f"  distance to the reference: {quality['reference']['status']}")
     lines += [f"  warning: {warning}" for warning in quality["warnings"]] or ["  no warnings"]
     return lines
 

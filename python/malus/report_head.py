@@ -74,7 +74,7 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
 
 def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
     """The surface's standard deviation as text, and a note on what it means."""
-    if not quality["sigma"]:
+    if not quality["sigma"] or quality["sigma"]["median_gsd"] is None:
         return "not known", "the run did not estimate it"
     median, most = (shown(quality["sigma"][key] * gsd, quality["unit"]) for key in ("median_gsd", "p95_gsd"))
     if quality["confidence"]["level"] == "low":

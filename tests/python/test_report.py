@@ -239,7 +239,8 @@ def test_accuracy_is_qualified_where_confidence_is_low() -> None:
     assert accuracy_of(figures_of("high"), 0.1)[0] == "60 µm"
     said, note = accuracy_of(figures_of("low"), 0.1)
     assert said == "at best 60 µm" and "in doubt" in note
-    assert accuracy_of(figures_of("partial", sigma=None), 0.1)[0] == "not known"
+    for unknown in (None, {"median_gsd": None, "p95_gsd": None}):  # of no pixel: NaN in C++
+        assert accuracy_of(figures_of("partial", sigma=unknown), 0.1)[0] == "not known"
 
 
 def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
@@ -329,6 +330,10 @@ def test_alternative_texts_describe_the_pictures(work: Path) -> None:
         (218, "mm", "218 mm"),
         (0.003, "in", "76 µm"),
         (3.2, "m", "3.2 m"),
+        (0.0996, "mm", "100 µm"),
+        (99.7, "m", "100 m"),
+        (-0.0996, "mm", f"{MINUS}100 µm"),
+        (3e-8, "mm", "0.000030 µm"),
     ],
 )
 def test_lengths_are_rounded_for_reading(length: float, unit: str, said: str) -> None:
