@@ -529,6 +529,8 @@ class Plates:
         if self.quality["polarization_height"] is None:
             return
         raster = self.raster("height/height.tif")
+        if not np.isfinite(raster).any():  # No light was found, or it comes from where the camera is.
+            return
         yield self._map(
             raster,
             _Map(
@@ -661,7 +663,7 @@ class Plates:
             drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
             along = numbers(profile["position"])
-            present = [name for name in COLORS if profile[name]]
+            present = [name for name in COLORS if any(height is not None for height in profile[name])]
             step = float(np.median(np.diff(along))) / self.gsd if len(along) > 1 else 1.0
             details = {
                 name: to_micrometers * without_form(numbers(profile[name]), sigma_px / max(step, 1e-9))

@@ -201,7 +201,8 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     ]  # fmt: skip
     optional = ("profiles", "patches", "reference", "scale", "control", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
-    absent |= {"height", "m3c2"} - {name for name, group in figures.items() if group}
+    absent |= {"height"} if not quality["polarization_height"] else set()
+    absent |= {"m3c2"} if not figures["m3c2"] else set()
     return [(name, title) for name, title in every if name not in absent]
 
 

@@ -432,6 +432,26 @@ def test_large_stations_are_downsampled(monkeypatch: pytest.MonkeyPatch, work: P
     assert viewer.mesh_view(workspace)["triangles"] <= 2200
 
 
+class Wire:
+    """A result: an upright wire, three pixels wide. Of every second pixel no two lie beside each other on it."""
+
+    def surface(self) -> malus.fusion.FusedSurface:
+        depth = np.full((100, 100), np.nan, np.float32)
+        depth[:, 1:4] = 10
+        normals = np.zeros((100, 100, 3), np.float32)
+        normals[..., 2] = -1
+        camera = malus.Camera("PINHOLE", 100, 100, [1000.0, 1000.0, 49.5, 49.5])
+        return malus.fusion.FusedSurface(depth, normals, np.full((100, 100), 1e-3, np.float32), camera)
+
+    def options(self) -> malus.Options:
+        return malus.Options()
+
+
+def test_parts_thinner_than_the_meshs_cells_do_not_end_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "MESH_TRIANGLES", 10)
+    assert len(viewer._page_mesh(Wire()).triangles) == 2 * 2 * 99
+
+
 @pytest.fixture
 def edited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files that a test puts into a workspace count as if a step had left them."""
@@ -506,6 +526,49 @@ def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(finished_grid: Path,
     malus.write_report(work)
     text = (work / "report/index.html").read_text()
     assert "is right could not be checked: nothing to see." in text and "–°" not in text
+
+
+@pytest.mark.usefixtures("edited")
+def test_without_height_from_polarization_the_reason_is_stated(finished_grid: Path, tmp_path: Path) -> None:
+    """With a light beside the lens, an empty map was shown as a height that was still changing."""
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    height = tifffile.imread(work / "height/height.tif")
+    tifffile.imwrite(work / "height/height.tif", np.full_like(height, np.nan))
+    quality = json.loads((work / "quality.json").read_text())
+    quality["polarization_height"] |= {"status": "light along the view direction", "light_to_view_deg": 0.8}
+    for profile in quality["profiles"]:
+        profile["polarization"] = [None] * len(profile["polarization"])
+    quality["method"] = "refined"
+    quality["refinement"] = {
+        "refractive_index": {"value": 1.5, "sigma": 0, "stated": None}, "trusted_share": 0.95, "specular_share": 0.9,
+        "metal": {"refractive_index": [0.63, 3.19], "intensity_error": 0.1}, "lobe": None, "iterations": [],
+        "surroundings": {"roughness": 0.1, "other_roughness": 0, "other_finish_share": 0},
+    }  # fmt: skip
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    text = (work / "report/index.html").read_text()
+    section = text.split('<section id="height">')[1].split("</section>")[0]
+    assert "There is none: light along the view direction." in section and "still changing" not in section
+    assert "0.8</data>° from the view direction" in section and "<figure" not in section
+    # The index 1.5 of a dielectric has no part in a metal's surface.
+    index = text.split(">refractive index</abbr>")[1].split("</tr>")[0]
+    assert re.sub("<.*?>", "", index) == "about 0.63 + 3.19 i, a metal's"
+
+
+@pytest.mark.usefixtures("edited")
+def test_a_refractive_index_that_nothing_gives_is_not_called_given(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    quality = json.loads((work / "quality.json").read_text())
+    quality["refinement"] = {
+        "refractive_index": {"value": 1.5, "sigma": None, "stated": None}, "trusted_share": 0.95, "specular_share": 0,
+        "metal": None, "lobe": {"strength": 0}, "iterations": [], "surroundings": None,
+    }  # fmt: skip
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    index = (work / "report/index.html").read_text().split(">refractive index</abbr>")[1].split("</tr>")[0]
+    assert re.sub("<.*?>", "", index) == "1.5, assumed"
 
 
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:
