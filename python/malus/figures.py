@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -643,15 +644,16 @@ class Plates:
         """The lines of the sections on the unpolarized image (Fig. 11)."""
         drawing, axes = self.on_image()
         rows = []
-        for profile in self.quality["profiles"]:
+        called, said = names_in_picture([profile["name"] for profile in self.quality["profiles"]])
+        for profile, name in zip(self.quality["profiles"], called, strict=True):
             (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
             rows.append([profile["name"], u0, v0, u1, v1])
             line = np.array([[u0, v0], [u1, v1]]) / self.step
             axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
             axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
-            self.tag(axes, line[0], profile["name"])
+            self.tag(axes, line[0], name)
         return self.figure(
-            "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
+            "profile_lines", "Where the profiles run", "On the unpolarized image; the name stands at the start." + said,
             drawing, ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
         )  # fmt: skip
 
@@ -775,6 +777,26 @@ class Plates:
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
                     {name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
                 )
+
+
+def can_be_drawn(name: str) -> bool:
+    """Whether matplotlib can write a name: its font has all letters, and they run from left to right."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    font = get_font(findfont(FontProperties()))
+    return all(
+        font.get_char_index(ord(letter)) != 0 and unicodedata.bidirectional(letter) not in ("R", "AL")
+        for letter in name
+    )
+
+
+def names_in_picture(names: Sequence[str]) -> tuple[list[str], str]:
+    """What a picture calls things: their names, or numbers such as (2) for names that `can_be_drawn` refuses; and a sentence for the
+    caption that says which name each number stands for, "" if there is none.
+    """
+    called = [name if can_be_drawn(name) else f"({number})" for number, name in enumerate(names, 1)]
+    said = ", ".join(f"{one} is {name}" for one, name in zip(called, names, strict=True) if one != name)
+    return called, f" {said}." if said else ""
 
 
 def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:

@@ -571,6 +571,17 @@ def test_a_refractive_index_that_nothing_gives_is_not_called_given(finished_grid
     assert re.sub("<.*?>", "", index) == "1.5, assumed"
 
 
+def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """Pictures had boxes in place of Chinese letters and Hebrew ones in the wrong order, and quality.json in the page had escapes."""
+    plates = figures.Plates(malus.Workspace(finished_grid))
+    plates.quality["profiles"][0]["name"] = "剖面 1"
+    assert "the name stands at the start. (1) is 剖面 1." in plates.profile_lines().caption
+    assert not any("Glyph" in str(warning.message) for warning in recwarn)
+    assert figures.names_in_picture(["front", "חזית", "Größe"]) == (["front", "(2)", "Größe"], " (2) is חזית.")
+    shown = pages.template("campaign.html.j2").environment.from_string("{{ said | tojson }}")
+    assert shown.render(said={"b": "青銅鏡", "a": "<"}) == '{"b": "青銅鏡", "a": "\\u003c"}'
+
+
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:
     chart = np.asarray(Image.open(work / "report/figures/sinusoids.png").convert("L"))
     assert chart[:, -2:].min() > 200 and chart[:2].min() > 200
