@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.columns import number as readable
 from malus.columns import printed
 from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
@@ -255,7 +256,7 @@ def _spread(values: NDArray[Any], label: str) -> str:
     """A sentence on the range of most values of a map; "" for pictures without a unit."""
     if not label or not values.size:
         return ""
-    low, middle, high = (f"{p:.3g}" for p in np.percentile(values, (5, 50, 95)))
+    low, middle, high = (readable(float(p)) for p in np.percentile(values, (5, 50, 95)))
     return f" Nine tenths of the values lie between {low} and {high} {label}, half of them below {middle} {label}."
 
 
@@ -687,7 +688,7 @@ class Plates:
             below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present), *details.values()]
-            spread = ", ".join(f"{self.words[name]} {np.nanstd(values):.2g} µm" for name, values in details.items())
+            spread = ", ".join(f"{self.words[name]} {readable(float(np.nanstd(values)), 2)} µm" for name, values in details.items())
             called = [self.words[name] for name in present]
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
@@ -696,7 +697,7 @@ class Plates:
                 + ("." if not beyond else f"; cut off at the triangles, where {', '.join(beyond)}."),
                 drawing,
                 [f"position_{self.unit}", *(f"{word}_{self.unit}" for word in called), *(f"{self.words[name]}_detail_um" for name in details)],
-                list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
+                list(zip(*columns, strict=True)), f"A section of {readable(float(along[-1]) if len(along) else 0)} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
 
     def _cut_spikes(self, axes: Any, along: NDArray[np.float64], lines: Mapping[str, NDArray[np.float64]]) -> list[str]:
@@ -735,8 +736,8 @@ class Plates:
             total = counts.sum() + histogram["below"] + histogram["above"]
             inside = counts[(edges[1:] > low) & (edges[:-1] < high)].sum()
             if inside < total:
-                beyond.append(f"{self.words[surface]} {100 * (total - inside) / total:.2g} %")
-            classes.append(f"{histogram['bin_width']:.2g} ({self.words[surface]})")
+                beyond.append(f"{self.words[surface]} {readable(100 * (total - inside) / total, 2)} %")
+            classes.append(f"{readable(histogram['bin_width'], 2)} ({self.words[surface]})")
             axes.stairs(
                 100 * counts / max(total, 1) * width / histogram["bin_width"], edges, color=COLORS[surface], lw=1.5,
                 fill=surface == "fused", alpha=0.85 if surface == "fused" else 1, label=notes.get(surface),
@@ -744,7 +745,7 @@ class Plates:
             )  # fmt: skip
         axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
-        axes.set_ylabel(f"share of pixels in {width:.2g} GSD [%]", fontsize=LETTERS_PT)
+        axes.set_ylabel(f"share of pixels in {readable(width, 2)} GSD [%]", fontsize=LETTERS_PT)
         style(axes)
         axes.xaxis.set_major_locator(_few_ticks(6))
         if notes:
@@ -760,7 +761,7 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        caption = f"Share of the pixels in each {width:.2g} GSD of distance, in classes of {', '.join(classes)} GSD."
+        caption = f"Share of the pixels in each {readable(width, 2)} GSD of distance, in classes of {', '.join(classes)} GSD."
         if beyond:
             caption += f" Beyond the scale: {', '.join(beyond)}."
         return self.figure(name, title, caption, drawing, header, rows)
@@ -775,7 +776,7 @@ class Plates:
                     f"Patch {patch['name']}",
                     "distance to the fitted plane [GSD]",
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
-                    {name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
+                    {name: f"{self.words[name]}: RMSE {readable(fit['rmse_gsd'])} GSD" for name, fit in fits.items()},
                 )
 
 

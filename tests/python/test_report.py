@@ -263,6 +263,7 @@ def test_a_patch_of_a_prior_that_is_an_exact_plane_is_compared_without_a_number(
         (0.0, 0.02, "is rougher: 20 µm"),
         (0.0, 0.0, "is as flat as before: 0 µm"),
         (0.02, 0.0, "is flatter: 0 µm"),
+        (1e-5, 0.02, "is 2000 times rougher: 20 µm"),
     ):
         patch = {"name": "1", "prior": {"rmse": before}, "fused": {"rmse": after}}
         (line,) = gains_of(figures_of("high", patches=[patch]), "mm")

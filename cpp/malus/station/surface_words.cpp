@@ -1,6 +1,7 @@
 #include <sstream>
 #include <string>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/core/version.h"
 #include "malus/fusion/refined_share_internal.h"
@@ -43,15 +44,13 @@ Json catalogue_of(const Json& quality) {
 Json surface_words(const Json& quality) {
   const Json& confidence = quality.at("confidence");
   const std::string unit = quality.at("unit");
-  std::ostringstream pixel;
-  pixel.precision(4);
-  pixel << quality.at("gsd").get<double>() << ' ' << unit;
+  const std::string pixel = with_digits(quality.at("gsd").get<double>(), 4) + " " + unit;
   std::string reasons;
   for (const std::string reason : confidence.at("reasons")) reasons += reason + ' ';
   Json said = {{"title", quality.at("name")}};
   said.update(catalogue_of(quality));
   said.update({{"unit", unit},
-               {"pixel", pixel.str()},
+               {"pixel", pixel},
                {"confidence", confidence.at("level")},
                {"reasons", reasons},
                {"detail", origin_of_detail(quality)},
