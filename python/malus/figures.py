@@ -514,7 +514,7 @@ class Plates:
             self.raster(folder + "residual.tif"),
             _Map(
                 "residual", "Residual of the fit", "In expected standard deviations: 1 is noise alone.",
-                "inferno", "σ", (0, 3),
+                "inferno", "σ", (0, 3), {0.0: "0", 1.0: "1", 2.0: "2", 3.0: "≥ 3"},
             ),
         )  # fmt: skip
         labels = self.thinned("fused/label.png" if self.workspace.has("fused/label.png") else folder + "label.png")

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from malus import Camera, InputError, Station, _core
+from malus import Camera, DataError, InputError, Station, _core
 from malus.figures import encode
 from malus.options import Options
 from malus.photogrammetry.model import SparseModel
@@ -905,6 +905,19 @@ def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = phases.compared(Station.load(station), 2)
     assert said["severity"] == "note" and "fits the slopes" in said["message"]
+
+
+def test_a_phase_without_a_camera_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    phases = pytest.importorskip("malus.studio.phases")
+
+    class Unplaced:
+        def describe(self) -> dict[str, Any]:
+            return {"mosaic": None, "images": ["a.png", "b.png", "c.png"], "angles_deg": [0, 45, 90]}
+
+    nothing = np.zeros((4, 4), np.float32), np.ones((4, 4), np.uint8), np.empty((0, 3), np.float32)
+    monkeypatch.setattr(phases, "prior_upon_image", lambda station, threads: nothing)
+    with pytest.raises(DataError, match="covers no pixel"):
+        phases.compared(Unplaced(), 2)
 
 
 # ---- the whole way in a browser ----
