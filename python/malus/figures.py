@@ -550,9 +550,12 @@ class Plates:
         )
 
     def trust_picture(self) -> NDArray[np.uint8]:
-        """The relief shading, tinted by whether the surface is refined or the prior's, H × W × 3."""
+        """The relief shading, tinted by whether the surface is refined or the prior's, H × W × 3. Pixels without usable polarization
+        count as the prior's: they only follow their neighbors.
+        """
         refined, prior = np.array([53, 167, 160]), np.array([230, 159, 60])
-        share = (self.raster("fused/trust.png") / np.float32(255))[..., None]
+        usable = self.workspace.raster("polarization/valid.png") == 255
+        share = (self.small(self.workspace.raster("fused/trust.png") * usable) / np.float32(255))[..., None]
         tint = share * refined + (1 - share) * prior
         shade = np.nan_to_num(self.shade("fused"))[..., None]
         known = np.isfinite(self.relief["fused"])[..., None]

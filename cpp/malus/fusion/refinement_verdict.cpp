@@ -116,7 +116,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (!(report.trusted_share >= refined_everywhere)) {
     confidence.limit(ConfidenceLevel::partial, "In " + percent(1 - report.trusted_share) +
-                                                   " of the object the surface is the prior's, or nearly: there, " +
+                                                   " of the pixels with usable polarization the surface is the "
+                                                   "prior's, or nearly: there, " +
                                                    why_the_priors(report) + ".");
   } else if (!(report.explained_share >= well_explained)) {
     confidence.limit(ConfidenceLevel::partial,
