@@ -691,7 +691,9 @@ class Plates:
             below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present), *details.values()]
-            spread = ", ".join(f"{self.words[name]} {readable(float(np.nanstd(values)), 2)} µm" for name, values in details.items())
+            spread = ", ".join(
+                f"{self.words[name]} {readable(float(np.nanstd(values)), 2)} µm" for name, values in details.items()
+            )
             called = [self.words[name] for name in present]
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
