@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.columns import number as readable
 from malus.columns import printed
 from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
@@ -254,7 +256,7 @@ def _spread(values: NDArray[Any], label: str) -> str:
     """A sentence on the range of most values of a map; "" for pictures without a unit."""
     if not label or not values.size:
         return ""
-    low, middle, high = (f"{p:.3g}" for p in np.percentile(values, (5, 50, 95)))
+    low, middle, high = (readable(float(p)) for p in np.percentile(values, (5, 50, 95)))
     return f" Nine tenths of the values lie between {low} and {high} {label}, half of them below {middle} {label}."
 
 
@@ -512,7 +514,7 @@ class Plates:
             self.raster(folder + "residual.tif"),
             _Map(
                 "residual", "Residual of the fit", "In expected standard deviations: 1 is noise alone.",
-                "inferno", "σ", (0, 3),
+                "inferno", "σ", (0, 3), {0.0: "0", 1.0: "1", 2.0: "2", 3.0: "≥ 3"},
             ),
         )  # fmt: skip
         labels = self.thinned("fused/label.png" if self.workspace.has("fused/label.png") else folder + "label.png")
@@ -529,7 +531,7 @@ class Plates:
         if self.quality["polarization_height"] is None:
             return
         raster = self.raster("height/height.tif")
-        if not np.isfinite(raster).any():
+        if not np.isfinite(raster).any():  # No light was found, or it comes from where the camera is.
             return
         yield self._map(
             raster,
@@ -548,9 +550,12 @@ class Plates:
         )
 
     def trust_picture(self) -> NDArray[np.uint8]:
-        """The relief shading, tinted by whether the surface is refined or the prior's, H × W × 3."""
+        """The relief shading, tinted by whether the surface is refined or the prior's, H × W × 3. Pixels without usable polarization
+        count as the prior's: they only follow their neighbors.
+        """
         refined, prior = np.array([53, 167, 160]), np.array([230, 159, 60])
-        share = (self.raster("fused/trust.png") / np.float32(255))[..., None]
+        usable = self.workspace.raster("polarization/valid.png") == 255
+        share = (self.small(self.workspace.raster("fused/trust.png") * usable) / np.float32(255))[..., None]
         tint = share * refined + (1 - share) * prior
         shade = np.nan_to_num(self.shade("fused"))[..., None]
         known = np.isfinite(self.relief["fused"])[..., None]
@@ -643,15 +648,16 @@ class Plates:
         """The lines of the sections on the unpolarized image (Fig. 11)."""
         drawing, axes = self.on_image()
         rows = []
-        for profile in self.quality["profiles"]:
+        called, said = names_in_picture([profile["name"] for profile in self.quality["profiles"]])
+        for profile, name in zip(self.quality["profiles"], called, strict=True):
             (u0, v0), (u1, v1) = profile["from_px"], profile["to_px"]
             rows.append([profile["name"], u0, v0, u1, v1])
             line = np.array([[u0, v0], [u1, v1]]) / self.step
             axes.plot(*line.T, color="white", lw=3, solid_capstyle="round")
             axes.plot(*line.T, color="#d1495b", lw=1.6, solid_capstyle="round")
-            self.tag(axes, line[0], profile["name"])
+            self.tag(axes, line[0], name)
         return self.figure(
-            "profile_lines", "Where the profiles run", "On the unpolarized image; the number stands at the start.",
+            "profile_lines", "Where the profiles run", "On the unpolarized image; the name stands at the start." + said,
             drawing, ["profile", "from_u_px", "from_v_px", "to_u_px", "to_v_px"], rows,
         )  # fmt: skip
 
@@ -663,7 +669,7 @@ class Plates:
             drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
             above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
             along = numbers(profile["position"])
-            present = [name for name in COLORS if profile[name]]
+            present = [name for name in COLORS if any(height is not None for height in profile[name])]
             step = float(np.median(np.diff(along))) / self.gsd if len(along) > 1 else 1.0
             details = {
                 name: to_micrometers * without_form(numbers(profile[name]), sigma_px / max(step, 1e-9))
@@ -685,7 +691,9 @@ class Plates:
             below.set_ylabel("detail [µm]", fontsize=LETTERS_PT)
             below.set_xlabel(f"along the profile [{self.unit}]", fontsize=LETTERS_PT)
             columns = [profile["position"], *(profile[name] for name in present), *details.values()]
-            spread = ", ".join(f"{self.words[name]} {np.nanstd(values):.2g} µm" for name, values in details.items())
+            spread = ", ".join(
+                f"{self.words[name]} {readable(float(np.nanstd(values)), 2)} µm" for name, values in details.items()
+            )
             called = [self.words[name] for name in present]
             yield self.figure(
                 f"profile_{number}", f"Profile {profile['name']}",
@@ -694,7 +702,7 @@ class Plates:
                 + ("." if not beyond else f"; cut off at the triangles, where {', '.join(beyond)}."),
                 drawing,
                 [f"position_{self.unit}", *(f"{word}_{self.unit}" for word in called), *(f"{self.words[name]}_detail_um" for name in details)],
-                list(zip(*columns, strict=True)), f"A section of {along[-1] if len(along) else 0:.3g} {self.unit}. Spread of the detail: {spread}.",
+                list(zip(*columns, strict=True)), f"A section of {readable(float(along[-1]) if len(along) else 0)} {self.unit}. Spread of the detail: {spread}.",
             )  # fmt: skip
 
     def _cut_spikes(self, axes: Any, along: NDArray[np.float64], lines: Mapping[str, NDArray[np.float64]]) -> list[str]:
@@ -733,8 +741,8 @@ class Plates:
             total = counts.sum() + histogram["below"] + histogram["above"]
             inside = counts[(edges[1:] > low) & (edges[:-1] < high)].sum()
             if inside < total:
-                beyond.append(f"{self.words[surface]} {100 * (total - inside) / total:.2g} %")
-            classes.append(f"{histogram['bin_width']:.2g} ({self.words[surface]})")
+                beyond.append(f"{self.words[surface]} {readable(100 * (total - inside) / total, 2)} %")
+            classes.append(f"{readable(histogram['bin_width'], 2)} ({self.words[surface]})")
             axes.stairs(
                 100 * counts / max(total, 1) * width / histogram["bin_width"], edges, color=COLORS[surface], lw=1.5,
                 fill=surface == "fused", alpha=0.85 if surface == "fused" else 1, label=notes.get(surface),
@@ -742,7 +750,7 @@ class Plates:
             )  # fmt: skip
         axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(axis, fontsize=LETTERS_PT)
-        axes.set_ylabel(f"share of pixels in {width:.2g} GSD [%]", fontsize=LETTERS_PT)
+        axes.set_ylabel(f"share of pixels in {readable(width, 2)} GSD [%]", fontsize=LETTERS_PT)
         style(axes)
         axes.xaxis.set_major_locator(_few_ticks(6))
         if notes:
@@ -758,7 +766,7 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        caption = f"Share of the pixels in each {width:.2g} GSD of distance, in classes of {', '.join(classes)} GSD."
+        caption = f"Share of the pixels in each {readable(width, 2)} GSD of distance, in classes of {', '.join(classes)} GSD."
         if beyond:
             caption += f" Beyond the scale: {', '.join(beyond)}."
         return self.figure(name, title, caption, drawing, header, rows)
@@ -773,8 +781,28 @@ class Plates:
                     f"Patch {patch['name']}",
                     "distance to the fitted plane [GSD]",
                     {name: fit["histogram_gsd"] for name, fit in fits.items()},
-                    {name: f"{self.words[name]}: RMSE {fit['rmse_gsd']:.3g} GSD" for name, fit in fits.items()},
+                    {name: f"{self.words[name]}: RMSE {readable(fit['rmse_gsd'])} GSD" for name, fit in fits.items()},
                 )
+
+
+def can_be_drawn(name: str) -> bool:
+    """Whether matplotlib can write a name: its font has all letters, and they run from left to right."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    font = get_font(findfont(FontProperties()))
+    return all(
+        font.get_char_index(ord(letter)) != 0 and unicodedata.bidirectional(letter) not in ("R", "AL")
+        for letter in name
+    )
+
+
+def names_in_picture(names: Sequence[str]) -> tuple[list[str], str]:
+    """What a picture calls things: their names, or numbers such as (2) for names that `can_be_drawn` refuses; and a sentence for the
+    caption that says which name each number stands for, "" if there is none.
+    """
+    called = [name if can_be_drawn(name) else f"({number})" for number, name in enumerate(names, 1)]
+    said = ", ".join(f"{one} is {name}" for one, name in zip(called, names, strict=True) if one != name)
+    return called, f" {said}." if said else ""
 
 
 def _common_range(bins: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:

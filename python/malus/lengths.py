@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from malus.columns import aligned, decimals
+from malus.columns import aligned, decimals, number
 from malus.units import METERS
 
 
@@ -13,8 +13,7 @@ def shown(length: float, unit: str, digits: int = 2) -> str:
     """A length given in the station's unit, as text in µm, mm or m, whichever suits its size: 60 µm, 1.2 mm."""
     meters = length * METERS[unit]
     factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(meters) * f < 1000), (1.0, "m"))
-    value = meters * factor
-    return f"{value:.{digits}g} {name}" if abs(value) < 10**digits else f"{value:.0f} {name}"
+    return f"{number(meters * factor, digits)} {name}"
 
 
 def sides(lengths: Sequence[float], unit: str) -> str:

@@ -30,6 +30,8 @@ def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None)
         lstrip_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: _text("templates", name)),
     )
+    # Names in any script can be read in the page, and keys have the order that the file has.
+    environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
     environment.filters["number"] = number
     environment.filters.update(filters or {})

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from malus import _core
+from malus.columns import number
 from malus.figures import Plates, encode
 from malus.lengths import scale_bar, shown, sides
 from malus.trust import is_the_prior
@@ -74,7 +75,7 @@ def head_of(plates: Plates, extent: list[float]) -> Head:
 
 def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
     """The surface's standard deviation as text, and a note on what it means."""
-    if not quality["sigma"]:
+    if not quality["sigma"] or quality["sigma"]["median_gsd"] is None:
         return "not known", "the run did not estimate it"
     median, most = (shown(quality["sigma"][key] * gsd, quality["unit"]) for key in ("median_gsd", "p95_gsd"))
     if quality["confidence"]["level"] == "low":
@@ -109,7 +110,7 @@ def _flatter(patch: Mapping[str, Any]) -> str:
     if not (is_better(patch) or is_worse(patch)):
         return "as flat as before"
     word, low, high = ("flatter", after, before) if is_better(patch) else ("rougher", before, after)
-    return f"{high / low:.2g} times {word}" if low > 0 else word
+    return f"{number(high / low, 2)} times {word}" if low > 0 else word
 
 
 def gains_title(quality: Mapping[str, Any]) -> str:

@@ -11,8 +11,10 @@ from malus import _core
 
 def refined_share(quality: Mapping[str, Any]) -> float | None:
     """Share of the object where the surface is finer than its prior; None if the run did not determine it."""
-    share: float | None = quality.get("refinement", {}).get("trusted_share")
-    return share
+    trusted: float | None = quality.get("refinement", {}).get("trusted_share")
+    usable: float | None = (quality.get("polarization") or {}).get("valid_fraction")
+    # The first is a share of the pixels with usable polarization; on the others nothing finer than the prior is known.
+    return trusted if trusted is None or usable is None else trusted * usable
 
 
 def is_the_prior(quality: Mapping[str, Any]) -> bool:
@@ -61,5 +63,5 @@ def words_of(quality: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _facts(quality: Mapping[str, Any]) -> dict[str, Any]:
-    asked = ("name", "object", "unit", "gsd", "confidence", "refinement")
+    asked = ("name", "object", "unit", "gsd", "confidence", "refinement", "polarization")
     return {key: quality[key] for key in asked if key in quality}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from malus import _core, figures
 from malus.albedo import diffuse_albedo
+from malus.errors import DataError
 from malus.figures import reduced, step_for
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.units import METERS
@@ -129,12 +130,19 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
 
 
 def _page_mesh(workspace: Workspace) -> Mesh:
-    """The surface with a vertex at every n-th pixel, about MESH_TRIANGLES triangles."""
-    depth = workspace.raster("fused/depth.tif")
-    options = workspace.options()
-    factor = np.ceil(np.sqrt(2 * np.isfinite(depth).sum() / MESH_TRIANGLES))
+    """The surface with a vertex at every n-th pixel, about MESH_TRIANGLES triangles; with more of them if the object's parts are thinner
+    than n pixels.
+    """
+    surface, options = workspace.surface(), workspace.options()
+    factor = np.ceil(np.sqrt(2 * np.isfinite(surface.depth).sum() / MESH_TRIANGLES))
     options.surface.subsample = int(np.clip(factor, 1, 64))
-    return mesh_from_depth(workspace.surface(), options=options)
+    while True:
+        try:
+            return mesh_from_depth(surface, options=options)
+        except DataError:  # No cell of this size lies on the surface.
+            if options.surface.subsample == 1:
+                raise
+            options.surface.subsample //= 2
 
 
 def mesh_view(workspace: Workspace) -> dict[str, Any]:

@@ -130,6 +130,14 @@ def test_closing_lines_say_size_accuracy_and_warnings(finished_grid: Path) -> No
     assert not any("converged" in line for line in lines)
 
 
+def test_closing_lines_of_a_surface_that_lies_nowhere_near_its_reference(finished_grid: Path) -> None:
+    """The figures are missing: the summary ended with a TypeError, after the run was done."""
+    none = dict.fromkeys(("mean", "rmse", "mad", "minimum", "p05", "median", "p95", "maximum"))
+    far = {"status": "no pixel near the reference", "distance_gsd": {"count": 0, **none}}
+    lines = malus.report.summary_lines({**malus.Workspace(finished_grid).quality, "reference": far}, (24, 24.1))
+    assert "  distance to the reference: no pixel near the reference" in lines
+
+
 def test_missing_convergence_is_explained_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
     outcome = run_malus(
         "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",

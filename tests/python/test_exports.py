@@ -420,8 +420,11 @@ def of_the_surface(workspace: malus.Workspace) -> list[str]:
 
 
 def test_share_of_the_prior_in_the_surface_is_stated(workspace: malus.Workspace) -> None:
-    for refined, words in ((0.99, "on nearly all"), (0.4, "on 40 % of the object, elsewhere the prior's"), (0.01, "the surface is the prior's")):  # fmt: skip
-        assert words in said_of({**workspace.quality, "refinement": {"trusted_share": refined}})["detail"]
+    part = "on 40 % of the object, elsewhere the prior's"
+    # The refinement's share is one of the pixels with usable polarization.
+    for refined, usable, words in ((0.99, 1, "on nearly all"), (0.4, 1, part), (0.8, 0.5, part), (0.01, 1, "the surface is the prior's")):  # fmt: skip
+        known = {"refinement": {"trusted_share": refined}, "polarization": {"valid_fraction": usable}}
+        assert words in said_of({**workspace.quality, **known})["detail"]
 
 
 def test_meshes_of_a_run_say_how_far_to_trust_them(finished_grid: Path) -> None:

@@ -239,7 +239,8 @@ def test_accuracy_is_qualified_where_confidence_is_low() -> None:
     assert accuracy_of(figures_of("high"), 0.1)[0] == "60 µm"
     said, note = accuracy_of(figures_of("low"), 0.1)
     assert said == "at best 60 µm" and "in doubt" in note
-    assert accuracy_of(figures_of("partial", sigma=None), 0.1)[0] == "not known"
+    for unknown in (None, {"median_gsd": None, "p95_gsd": None}):  # of no pixel: NaN in C++
+        assert accuracy_of(figures_of("partial", sigma=unknown), 0.1)[0] == "not known"
 
 
 def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
@@ -262,6 +263,7 @@ def test_a_patch_of_a_prior_that_is_an_exact_plane_is_compared_without_a_number(
         (0.0, 0.02, "is rougher: 20 µm"),
         (0.0, 0.0, "is as flat as before: 0 µm"),
         (0.02, 0.0, "is flatter: 0 µm"),
+        (1e-5, 0.02, "is 2000 times rougher: 20 µm"),
     ):
         patch = {"name": "1", "prior": {"rmse": before}, "fused": {"rmse": after}}
         (line,) = gains_of(figures_of("high", patches=[patch]), "mm")
@@ -312,6 +314,12 @@ def test_what_can_be_trusted_is_stated_in_a_sentence(level: str, refined: float 
     assert said in what_to_trust(quality)
 
 
+def test_what_is_refined_is_told_as_a_share_of_the_object() -> None:
+    """The refinement's share is one of the pixels with usable polarization: half of this object is saturated."""
+    quality = figures_of("partial", refinement={"trusted_share": 0.92}, polarization={"valid_fraction": 0.5})
+    assert "blue-green (46 % of the object)" in what_to_trust(quality)
+
+
 def test_alternative_texts_describe_the_pictures(work: Path) -> None:
     alternatives = re.findall(r'<img [^>]*alt="([^"]*)"', (work / "report/index.html").read_text())
     assert all(len(text.split()) >= 5 for text in alternatives), alternatives
@@ -329,6 +337,10 @@ def test_alternative_texts_describe_the_pictures(work: Path) -> None:
         (218, "mm", "218 mm"),
         (0.003, "in", "76 µm"),
         (3.2, "m", "3.2 m"),
+        (0.0996, "mm", "100 µm"),
+        (99.7, "m", "100 m"),
+        (-0.0996, "mm", f"{MINUS}100 µm"),
+        (3e-8, "mm", "0.000030 µm"),
     ],
 )
 def test_lengths_are_rounded_for_reading(length: float, unit: str, said: str) -> None:
@@ -427,6 +439,26 @@ def test_large_stations_are_downsampled(monkeypatch: pytest.MonkeyPatch, work: P
     assert viewer.mesh_view(workspace)["triangles"] <= 2200
 
 
+class Wire:
+    """A result: an upright wire, three pixels wide. Of every second pixel no two lie beside each other on it."""
+
+    def surface(self) -> malus.fusion.FusedSurface:
+        depth = np.full((100, 100), np.nan, np.float32)
+        depth[:, 1:4] = 10
+        normals = np.zeros((100, 100, 3), np.float32)
+        normals[..., 2] = -1
+        camera = malus.Camera("PINHOLE", 100, 100, [1000.0, 1000.0, 49.5, 49.5])
+        return malus.fusion.FusedSurface(depth, normals, np.full((100, 100), 1e-3, np.float32), camera)
+
+    def options(self) -> malus.Options:
+        return malus.Options()
+
+
+def test_parts_thinner_than_the_meshs_cells_do_not_end_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "MESH_TRIANGLES", 10)
+    assert len(viewer._page_mesh(Wire()).triangles) == 2 * 2 * 99
+
+
 @pytest.fixture
 def edited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files that a test puts into a workspace count as if a step had left them."""
@@ -501,6 +533,60 @@ def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(finished_grid: Path,
     malus.write_report(work)
     text = (work / "report/index.html").read_text()
     assert "is right could not be checked: nothing to see." in text and "–°" not in text
+
+
+@pytest.mark.usefixtures("edited")
+def test_without_height_from_polarization_the_reason_is_stated(finished_grid: Path, tmp_path: Path) -> None:
+    """With a light beside the lens, an empty map was shown as a height that was still changing."""
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    height = tifffile.imread(work / "height/height.tif")
+    tifffile.imwrite(work / "height/height.tif", np.full_like(height, np.nan))
+    quality = json.loads((work / "quality.json").read_text())
+    quality["polarization_height"] |= {"status": "light along the view direction", "light_to_view_deg": 0.8}
+    for profile in quality["profiles"]:
+        profile["polarization"] = [None] * len(profile["polarization"])
+    quality["method"] = "refined"
+    quality["refinement"] = {
+        "refractive_index": {"value": 1.5, "sigma": 0, "stated": None}, "trusted_share": 0.95, "specular_share": 0.9,
+        "metal": {"refractive_index": [0.63, 3.19], "intensity_error": 0.1}, "lobe": None, "iterations": [],
+        "surroundings": {"roughness": 0.1, "other_roughness": 0, "other_finish_share": 0},
+    }  # fmt: skip
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    text = (work / "report/index.html").read_text()
+    section = text.split('<section id="height">')[1].split("</section>")[0]
+    assert "There is none: light along the view direction." in section and "still changing" not in section
+    assert "0.8</data>° from the view direction" in section and "<figure" not in section
+    # The index 1.5 of a dielectric has no part in a metal's surface.
+    index = text.split(">refractive index</abbr>")[1].split("</tr>")[0]
+    assert re.sub("<.*?>", "", index) == "about 0.63 + 3.19 i, a metal's"
+
+
+@pytest.mark.usefixtures("edited")
+def test_a_refractive_index_that_nothing_gives_is_not_called_given(finished_grid: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    quality = json.loads((work / "quality.json").read_text())
+    quality["refinement"] = {
+        "refractive_index": {"value": 1.5, "sigma": None, "stated": None}, "trusted_share": 0.95, "specular_share": 0,
+        "metal": None, "lobe": {"strength": 0}, "iterations": [], "surroundings": None,
+    }  # fmt: skip
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    index = (work / "report/index.html").read_text().split(">refractive index</abbr>")[1].split("</tr>")[0]
+    assert re.sub("<.*?>", "", index) == "1.5, assumed"
+
+
+def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """Pictures had boxes in place of Chinese letters and Hebrew ones in the wrong order, and quality.json in the page had escapes."""
+    plates = figures.Plates(malus.Workspace(finished_grid))
+    plates.quality["profiles"][0]["name"] = "剖面 1"
+    assert "the name stands at the start. (1) is 剖面 1." in plates.profile_lines().caption
+    assert not any("Glyph" in str(warning.message) for warning in recwarn)
+    assert figures.names_in_picture(["front", "חזית", "Größe"]) == (["front", "(2)", "Größe"], " (2) is חזית.")
+    shown = pages.template("campaign.html.j2").environment.from_string("{{ said | tojson }}")
+    assert shown.render(said={"b": "青銅鏡", "a": "<"}) == '{"b": "青銅鏡", "a": "\\u003c"}'
 
 
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from malus import Camera, InputError, Station, _core
+from malus import Camera, DataError, InputError, Station, _core
 from malus.figures import encode
 from malus.options import Options
 from malus.photogrammetry.model import SparseModel
@@ -577,6 +577,46 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
             pictures.tile(path, *place)
 
 
+def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_path: Path) -> None:
+    """Drawn on the image as taken, they lay beside their place in the results: in the corners of wide lenses by tens of pixels."""
+    from PIL import Image
+
+    from malus.capture import undistort
+    from malus.studio import app, pictures
+
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("views"))
+    studio = app.Studio(tmp_path, 1)
+    said = studio._station({"path": "relief/station.toml"})
+    assert said["lens"] is None and said["lens_known"]
+    station = folder / "station.toml"
+    given = Station.load(station).describe()["camera"]
+    width, height, (focal, _, cx, cy) = given["width"], given["height"], given["params"]
+    lens = (
+        f'[camera]\nmodel = "SIMPLE_RADIAL"\nwidth = {width}\nheight = {height}\nparams = {[focal, cx + 0.5, cy + 0.5, -4.0]}\n'
+        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+    )
+    station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
+    said = studio._station({"path": "relief/station.toml"})
+    studio.runs.close()
+    told = app._lens({"lens": json.dumps(app._plain(said["lens"]))})
+    assert told is not None and told[:3] == ("SIMPLE_RADIAL", width, height) and app._lens({}) is None
+    assert told[3] == pytest.approx((focal, cx, cy, -4.0))
+
+    down, right = np.mgrid[:height, :width]
+    taken = (128 + 100 * np.sin(right / 15) * np.cos(down / 15)).astype(np.uint8)
+    Image.fromarray(taken).save(tmp_path / "taken.png")
+    part = np.s_[: min(height, 512), : min(width, 512)]  # one tile
+    expected = undistort(taken, Camera(*told))[part]
+    plain, straight = (
+        np.asarray(Image.open(io.BytesIO(pictures.tile(tmp_path / "taken.png", 0, 0, 0, lens))), float)
+        for lens in (None, told)
+    )
+    np.testing.assert_allclose(plain, taken[part], atol=8)
+    np.testing.assert_allclose(straight[np.isfinite(expected)], expected[np.isfinite(expected)], atol=8)
+    assert np.nanmax(np.abs(expected - plain)) > 50
+
+
 def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 
@@ -865,6 +905,19 @@ def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = phases.compared(Station.load(station), 2)
     assert said["severity"] == "note" and "fits the slopes" in said["message"]
+
+
+def test_a_phase_without_a_camera_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    phases = pytest.importorskip("malus.studio.phases")
+
+    class Unplaced:
+        def describe(self) -> dict[str, Any]:
+            return {"mosaic": None, "images": ["a.png", "b.png", "c.png"], "angles_deg": [0, 45, 90]}
+
+    nothing = np.zeros((4, 4), np.float32), np.ones((4, 4), np.uint8), np.empty((0, 3), np.float32)
+    monkeypatch.setattr(phases, "prior_upon_image", lambda station, threads: nothing)
+    with pytest.raises(DataError, match="covers no pixel"):
+        phases.compared(Unplaced(), 2)
 
 
 # ---- the whole way in a browser ----

@@ -73,13 +73,7 @@ void limit_by_hull(const DepthPrior& prior, Confidence& confidence) {
 /// Where polarization is not usable nothing is measured, and the surface continues that of the neighborhood.
 void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Context& context) {
   constexpr double nearly_all = 0.9;
-  const Mask& state = input.polarization->valid;
-  const auto [valid, object] = sum_pixels<2>(state.count(), context, [&](std::size_t i, Sums<2>& sums) {
-    if (!is_object(input, i)) return;
-    sums[0] += state[i] == static_cast<std::uint8_t>(PixelState::valid);
-    sums[1] += 1;
-  });
-  const double usable = fraction_of(valid, object);
+  const double usable = usable_share(input, context);
   if (usable >= nearly_all) return;
   const std::string share = std::isnan(usable) ? "an unknown part" : percent(1 - usable);
   confidence.limit(ConfidenceLevel::partial, "On " + share +
@@ -96,6 +90,16 @@ bool is_object(const AssessInput& input, std::size_t pixel) {
   }
   return std::isfinite(input.surface->depth[pixel]) ||
          (input.prior != nullptr && std::isfinite(input.prior->depth[pixel]));
+}
+
+double usable_share(const AssessInput& input, const Context& context) {
+  const Mask& state = input.polarization->valid;
+  const auto [valid, object] = sum_pixels<2>(state.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    if (!is_object(input, i)) return;
+    sums[0] += state[i] == static_cast<std::uint8_t>(PixelState::valid);
+    sums[1] += 1;
+  });
+  return fraction_of(valid, object);
 }
 
 double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, const Context& context) {

@@ -9,6 +9,9 @@ namespace malus {
 /// Whether a pixel is on the object, according to the first of these that the input has: mask, polarization, any depth.
 bool is_object(const AssessInput& input, std::size_t pixel);
 
+/// Share of the object's pixels with usable polarization; NaN without an object. The input must have a polarization.
+double usable_share(const AssessInput& input, const Context& context);
+
 /// Share of the surface whose depth is within two standard deviations of the prior's; NaN if the prior has no standard
 /// deviations.
 double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, const Context& context);

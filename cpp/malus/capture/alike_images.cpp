@@ -3,9 +3,9 @@
 #include <cmath>
 #include <iterator>
 #include <numeric>
-#include <sstream>
 
 #include "malus/capture/alike_images_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 
@@ -87,12 +87,10 @@ void require_alike_images(const std::vector<Image<float>>& images, const std::ve
   for (std::size_t k = 0; k < images.size(); ++k) {
     const double ratio = brightness_beside_others(k, means, angles_rad);
     if (ratio < other_exposure && ratio > 1 / other_exposure) continue;
-    std::ostringstream text;
-    text.precision(2);
-    text << names[k] << " is " << ratio
-         << " times as bright as the other images and the polarizer's angles let it be, expected one exposure and one "
-            "light for all images ([polarized] exposure_s states exposures that differ on purpose)";
-    throw input_error(text.str());
+    throw input_error(names[k] + " is " + with_digits(ratio, 2) +
+                      " times as bright as the other images and the polarizer's angles let it be, expected one "
+                      "exposure and one light for all images ([polarized] exposure_s states exposures that differ on "
+                      "purpose)");
   }
 }
 

@@ -9,6 +9,7 @@
 #include "malus/capture/contrast_band_internal.h"
 #include "malus/capture/registration_internal.h"
 #include "malus/capture/registration_rows_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -434,8 +435,8 @@ void set_status(ImageRegistration& result, double similarity, double texture, do
             << " % of the contrast is not noise, displacement known to " << result.rms_px << " px";
   } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
     result.status = RegistrationStatus::implausible;
-    message << "displacement of " << result.displacement_px << " px, more than " << 100 * options.max_shift
-            << " % of the image width";
+    message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "
+            << 100 * options.max_shift << " % of the image width";
   } else if (!(similarity >= least_similarity)) {
     result.status = RegistrationStatus::implausible;
     message << "the image does not resemble the others (regression " << similarity << ")";

@@ -7,6 +7,7 @@
 #include <sstream>
 #include <utility>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
@@ -47,13 +48,6 @@ constexpr double common_color = 0.05, common_phase = 0.12, common_step = 1.5;
 constexpr double mirrors_times = 6, least_degree = 0.002;
 /// Least that a variant of the input must explain, and how many times more than the input as given.
 constexpr double least_explained = 0.1, explains_times = 3;
-
-std::string with_digits(double value, int digits) {
-  std::ostringstream text;
-  text.precision(digits);
-  text << value;
-  return text.str();
-}
 
 std::string rounded(double value, int decimals) {
   std::ostringstream text;
@@ -189,11 +183,10 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
         "frame?");
     return;
   }
-  std::ostringstream text;
-  text.precision(2);
-  text << "the prior lies where the images show the object: best fit " << std::hypot(found.right_px, found.down_px)
-       << " px beside; " << told_in_words(found);
-  say(found, Severity::note, text.str(), "");
+  say(found, Severity::note,
+      "the prior lies where the images show the object: best fit " +
+          with_digits(std::hypot(found.right_px, found.down_px), 2) + " px beside; " + told_in_words(found),
+      "");
 }
 
 /// The variant of the input that explains most, if it explains much more than the input as given.

@@ -1,21 +1,14 @@
 #include <algorithm>
 #include <cmath>
-#include <sstream>
 #include <string>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/fusion/refined_share_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 
 namespace malus {
 namespace {
-
-std::string rounded(double value, int digits = 2) {
-  std::ostringstream text;
-  text.precision(digits);
-  text << value;
-  return text.str();
-}
 
 bool is_the_prior(const RefineReport& report) {
   return report.trusted_share < refined_nowhere;
@@ -39,8 +32,8 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   if (last.rejected_steps >= many_rejections * last.tiles) {
     problem = "The refinement found no better surface than the prior in most of the image.";
   } else if (!has_settled(report)) {
-    problem = "The refined surface was still changing when the refinement ended, by " + rounded(last.change_gsd) +
-              " GSD in the last round.";
+    problem = "The refined surface was still changing when the refinement ended, by " +
+              with_digits(last.change_gsd, 2) + " GSD in the last round.";
   }
   surface.status = problem.empty() ? FusionStatus::converged : FusionStatus::not_converged;
   if (problem.empty()) return;
@@ -61,17 +54,18 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   if (!(report.median_residual <= largest_residual)) {
     warn(most,
          "The reflection model does not explain the measured polarization: the median residual is " +
-             rounded(report.median_residual) + " standard deviations.",
+             with_digits(report.median_residual, 2) + " standard deviations.",
          surface);
   }
   if (std::isnan(report.eta_sigma)) {
     surface.warnings.push_back("The refractive index is not known, and the polarization does not tell it: " +
-                               rounded(report.reflection.eta) + " is taken. State it as refractive_index in [optics].");
+                               with_digits(report.reflection.eta, 2) +
+                               " is taken. State it as refractive_index in [optics].");
   } else if (report.stated_eta) {
     const double stated = *report.stated_eta, found = report.reflection.eta;
     warn(ConfidenceLevel::partial,
-         "The polarization contradicts optics.refractive_index = " + rounded(stated, 3) +
-             ": it is explained clearly better with " + rounded(found, 3) +
+         "The polarization contradicts optics.refractive_index = " + with_digits(stated, 3) +
+             ": it is explained clearly better with " + with_digits(found, 3) +
              ", which the refinement takes. If the stated one is certain, the prior's slopes are too " +
              (found > stated ? "small" : "large") + "; set refine.correct_index = false then.",
          surface);
@@ -122,7 +116,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (!(report.trusted_share >= refined_everywhere)) {
     confidence.limit(ConfidenceLevel::partial, "In " + percent(1 - report.trusted_share) +
-                                                   " of the object the surface is the prior's, or nearly: there, " +
+                                                   " of the pixels with usable polarization the surface is the "
+                                                   "prior's, or nearly: there, " +
                                                    why_the_priors(report) + ".");
   } else if (!(report.explained_share >= well_explained)) {
     confidence.limit(ConfidenceLevel::partial,
@@ -135,8 +130,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (report.metal_index != 0.0) {
     surface.warnings.push_back(
-        "The object is taken for bare metal, whose refractive index is about " + rounded(report.metal_index.real()) +
-        " + " + rounded(report.metal_index.imag()) +
+        "The object is taken for bare metal, whose refractive index is about " +
+        with_digits(report.metal_index.real(), 2) + " + " + with_digits(report.metal_index.imag(), 2) +
         " i: its map of the surroundings explains brightness and polarization. Where the color changes, by tarnish or "
         "gilding, slopes may be wrong.");
   }

@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "malus/core/better_fit_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/io/resection_internal.h"
 
@@ -170,15 +171,15 @@ double tolerated_px(const LensCamera& lens) {
 std::string misfit(const std::vector<MarkedPoint>& points, const LensCamera& lens, const Resection& found,
                    const std::optional<Doubt>& doubt) {
   std::ostringstream message;
-  message.precision(3);
-  message << "marks and coordinates do not fit, " << found.rms_px << " px RMS; ";
+  message << "marks and coordinates do not fit, " << with_digits(found.rms_px, 3) << " px RMS; ";
   if (doubt && doubt->rms_px <= tolerated_px(lens)) {
     message << "without point " << doubt->name << " the others do: are its mark and its coordinates right?";
     return message.str();
   }
   const auto off = [&](const MarkedPoint& point) { return mark_residual(point, lens, found.pose).norm(); };
   const MarkedPoint& worst = *std::ranges::max_element(points, {}, off);
-  message << "the worst is point " << worst.name << ", " << off(worst) << " px off. Is each mark that of its point?";
+  message << "the worst is point " << worst.name << ", " << with_digits(off(worst), 3)
+          << " px off. Is each mark that of its point?";
   return message.str();
 }
 

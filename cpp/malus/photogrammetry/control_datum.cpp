@@ -5,6 +5,7 @@
 #include <sstream>
 
 #include "malus/core/better_fit_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/photogrammetry/control_datum_internal.h"
 
@@ -118,8 +119,8 @@ void require_fit(const Datum& datum, const Points& known, const std::optional<Do
   const double extent = (known.rowwise().maxCoeff() - known.rowwise().minCoeff()).norm();
   if (datum.sigma <= tolerated_share * extent) return;
   std::ostringstream message;
-  message.precision(3);
-  message << "[[control]]: coordinates and marks do not fit, " << datum.sigma << " off over " << extent << "; ";
+  message << "[[control]]: coordinates and marks do not fit, " << with_digits(datum.sigma, 3) << " off over "
+          << with_digits(extent, 3) << "; ";
   if (doubt && doubt->sigma <= tolerated_share * extent) {
     message << "without point " << *datum.doubtful << " the others do: are its marks and its coordinates right?";
   } else {

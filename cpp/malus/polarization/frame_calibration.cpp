@@ -6,6 +6,7 @@
 #include <numbers>
 #include <sstream>
 
+#include "malus/core/digits_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 
 namespace malus {
@@ -99,14 +100,15 @@ std::string contradiction(const FrameEstimate& surface) {
         << "[polarized] angle_direction is the wrong way round: the polarization turns against the slopes of the prior "
            "(correlation "
         << surface.coherence.direct << " as the file has it, " << surface.coherence.opposite << " the other way, "
-        << -surface.coherence.ahead()
+        << with_digits(-surface.coherence.ahead(), 2)
         << " standard deviations apart); expected angle_direction = \"cw\" where the file says \"ccw\" or nothing, "
            "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is "
            "mirrored, or the camera exposed every image by itself";
   } else if (surface.limits.is_off_by_quarter()) {
-    text << "[polarized] angle_zero_deg is off by 90°: " << 100 * surface.limits.beyond
+    text << "[polarized] angle_zero_deg is off by 90°: " << with_digits(100 * surface.limits.beyond, 2)
          << " % of the steep places are polarized along the slope more than any reflection can, "
-         << 100 * surface.limits.beyond_turned << " % if the scale is turned by 90°; expected angle_zero_deg 90 larger";
+         << with_digits(100 * surface.limits.beyond_turned, 2)
+         << " % if the scale is turned by 90°; expected angle_zero_deg 90 larger";
   }
   return text.str();
 }

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "malus/core/digits_internal.h"
 #include "malus/io/resection_internal.h"
 #include "malus/station/control_points_internal.h"
 
@@ -54,12 +55,11 @@ std::vector<std::string> control_warnings(const StationFile& station) {
     const double off = residual.length_px();
     if (off <= worth_a_warning_px) continue;
     std::ostringstream message;
-    message.precision(3);
     message << "[[control]] " << residual.name << ": ";
     if (std::isnan(off)) {
       message << "is marked in the image, but lies behind the camera";
     } else {
-      message << "its mark lies " << off << " px from where the camera sees the point";
+      message << "its mark lies " << with_digits(off, 3) << " px from where the camera sees the point";
     }
     warnings.push_back(message.str());
   }
@@ -73,17 +73,17 @@ std::string describe_control(const StationFile& station) {
   const std::vector<ControlResidual> residuals = control_residuals(station);
   if (residuals.empty()) return {};
   std::ostringstream text;
-  text.precision(3);
   const auto used = std::ranges::count(residuals, false, &ControlResidual::check);
   if (station.resection) {
-    text << "position of the camera from " << used << " control points, center ± " << station.resection->center_sigma
-         << " " << station.unit << "; ";
+    text << "position of the camera from " << used << " control points, center ± "
+         << with_digits(station.resection->center_sigma, 3) << " " << station.unit << "; ";
   } else {
     text << residuals.size() << " control points compared with the camera's position; ";
   }
-  if (const double rms = fit_px(station, residuals); std::isfinite(rms)) text << "marks fit to " << rms << " px";
+  if (const double rms = fit_px(station, residuals); std::isfinite(rms))
+    text << "marks fit to " << with_digits(rms, 3) << " px";
   if (const double rms = held_out_px(station, residuals); std::isfinite(rms))
-    text << ", those held out to " << rms << " px";
+    text << ", those held out to " << with_digits(rms, 3) << " px";
   text << ": ";
   for (const ControlResidual& residual : residuals) {
     text << (&residual == &residuals.front() ? "" : ", ") << residual.name;
@@ -91,7 +91,7 @@ std::string describe_control(const StationFile& station) {
     if (std::isnan(residual.length_px())) {
       text << " behind the camera";
     } else {
-      text << " " << residual.length_px();
+      text << " " << with_digits(residual.length_px(), 3);
     }
   }
   return text.str();

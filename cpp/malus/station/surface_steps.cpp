@@ -116,6 +116,7 @@ Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& pri
           {"unit", station.unit},
           {"gsd", ground_sampling_distance(surface.depth, surface.camera, job.context)},
           {"confidence", fields_to_json(confidence)},
+          {"polarization", Json::object({{"valid_fraction", fields_to_json(usable_share(input, job.context))}})},
           {"refinement", refinement != nullptr ? Json::parse(refinement->report_json) : Json::object()}};
 }
 

@@ -1,6 +1,7 @@
 #include <sstream>
 #include <string>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/percent_internal.h"
 #include "malus/core/version.h"
 #include "malus/fusion/refined_share_internal.h"
@@ -17,13 +18,22 @@ std::string in_one_line(const std::string& text) {
   return line;
 }
 
+/// Share of the object's pixels with usable polarization; 1 if it is not known. On the others nothing finer than the
+/// prior is known, and the refinement's share leaves them out.
+double usable_share(const Json& quality) {
+  const auto polarization = quality.find("polarization");
+  const bool is_known = polarization != quality.end() && polarization->is_object() &&
+                        polarization->contains("valid_fraction") && !polarization->at("valid_fraction").is_null();
+  return is_known ? polarization->at("valid_fraction").get<double>() : 1.0;
+}
+
 /// How much of the surface is finer than the prior.
 std::string origin_of_detail(const Json& quality) {
   const auto refinement = quality.find("refinement");
   const bool has_share = refinement != quality.end() && refinement->contains("trusted_share");
   if (!has_share || refinement->at("trusted_share").is_null())
     return "detail from polarization everywhere, which nothing proves";
-  const double share = refinement->at("trusted_share");
+  const double share = refinement->at("trusted_share").get<double>() * usable_share(quality);
   if (share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
   if (share >= refined_everywhere) return "detail from polarization on nearly all of the object";
   return "detail from polarization on " + percent(share) + " of the object, elsewhere the prior's surface, no finer";
@@ -43,15 +53,13 @@ Json catalogue_of(const Json& quality) {
 Json surface_words(const Json& quality) {
   const Json& confidence = quality.at("confidence");
   const std::string unit = quality.at("unit");
-  std::ostringstream pixel;
-  pixel.precision(4);
-  pixel << quality.at("gsd").get<double>() << ' ' << unit;
+  const std::string pixel = with_digits(quality.at("gsd").get<double>(), 4) + " " + unit;
   std::string reasons;
   for (const std::string reason : confidence.at("reasons")) reasons += reason + ' ';
   Json said = {{"title", quality.at("name")}};
   said.update(catalogue_of(quality));
   said.update({{"unit", unit},
-               {"pixel", pixel.str()},
+               {"pixel", pixel},
                {"confidence", confidence.at("level")},
                {"reasons", reasons},
                {"detail", origin_of_detail(quality)},

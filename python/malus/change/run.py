@@ -179,7 +179,7 @@ def _warnings(before: Exporter, after: Exporter, registration: Registration) -> 
         )
     if registration.size is not None and abs(registration.size - 1) > _MOST_SIZE:
         warnings.append(
-            f"lengths on the later surface are {100 * (registration.size - 1):+.2f} % of those on the earlier one: "
+            f"lengths on the later surface differ by {100 * (registration.size - 1):+.2f} % from those on the earlier one: "
             "check the scale bars of both"
         )
     return warnings

@@ -17,6 +17,7 @@ from malus.figures import (
     flattened,
     gray,
     hillshade,
+    names_in_picture,
     new_drawing,
     style,
 )
@@ -116,16 +117,17 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
         return
     drawing, axes = plates.on_image()
     rows = []
-    for patch in plates.quality["patches"]:
+    called, said = names_in_picture([patch["name"] for patch in plates.quality["patches"]])
+    for patch, name in zip(plates.quality["patches"], called, strict=True):
         u0, v0, u1, v1 = patch["box"]
         rows.append([patch["name"], u0, v0, u1, v1])
         corner = (u0 / plates.step - 0.5, v0 / plates.step - 0.5)
         size = ((u1 - u0 + 1) / plates.step, (v1 - v0 + 1) / plates.step)
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="white", lw=3))
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="#d1495b", lw=1.6))
-        plates.tag(axes, corner, patch["name"])
+        plates.tag(axes, corner, name)
     yield plates.figure(
-        "patch_boxes", "Flat patches", "Where the distances to planes are measured.",
+        "patch_boxes", "Flat patches", "Where the distances to planes are measured." + said,
         drawing, ["patch", "u0_px", "v0_px", "u1_px", "v1_px"], rows,
     )  # fmt: skip
 

@@ -75,7 +75,7 @@ class Studio:
             "photos": self._photos,
             "options": self._options,
             "thumbnail": lambda q: Response(pictures.thumbnail(self.root.file(q["path"])), media_type="image/jpeg"),
-            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), *(int(q[key]) for key in ("halvings", "column", "row"))), media_type="image/jpeg"),
+            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), *(int(q[key]) for key in ("halvings", "column", "row")), lens=_lens(q)), media_type="image/jpeg"),
             "mask": lambda q: Response(masks.read(self.root.file(q["path"])), media_type="image/png"),
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
@@ -143,27 +143,31 @@ class Studio:
         return self._shown(StationDocument.read(self.root.file(query["path"])))
 
     def _shown(self, document: StationDocument) -> Json:
-        """The file and its values; and, by their names on the page, its images, mask and labels that are in the opened folder."""
-        images, error = self._images(document)
+        """The file and its values; and, by their names on the page, its images, mask and labels that are in the opened folder. lens:
+        as `pictures.Lens` if it has distortion, else None; lens_known: whether that can be told.
+        """
+        images, error, camera = self._images(document)
         return {
             "path": self.root.name(document.path),
             "text": document.text,
             "digest": document.digest,
             "values": document.values,
             "images": images,
+            "lens": pictures.distorting(camera),
+            "lens_known": camera is not None,
             "painted": {kind: self._painted(document, kind) for kind in _PAINTED},
             "error": error,
         }
 
-    def _images(self, document: StationDocument) -> tuple[list[str], str | None]:
-        """The polarized images by their names on the page, and what is wrong with the station."""
+    def _images(self, document: StationDocument) -> tuple[list[str], str | None, Json | None]:
+        """The polarized images by their names on the page, what is wrong with the station, and its camera if it is known."""
         try:
             description = malus.Station.load(document.path).describe()
-            return [self.root.name(Path(path)) for path in description["images"]], None
+            return [self.root.name(Path(path)) for path in description["images"]], None, description.get("camera")
         except MalusError as error:
             # The user may correct the error on these images, for example by marking control points.
             images = folders.polarized_images(self.root, document.path, document.values)
-            return images, str(error)
+            return images, str(error), None
 
     def _painted(self, document: StationDocument, kind: str) -> Json | None:
         """The file that the station names for a mask or labels: its name on the page, and its digest. None if the station names
@@ -312,7 +316,7 @@ class Studio:
                 present = self._painted(document, kind)
                 if ((present or {}).get("digest") or "") != query.get("painted", ""):
                     raise ChangedError(self.root.path(present["path"]) if present else document.path)
-                images, error = self._images(document)
+                images, error, _ = self._images(document)
                 if not images:
                     raise InputError(error or f"{document.path}: has no images")
                 values = masks.decode(content, pictures.size_of(self.root.file(images[0])))
@@ -410,6 +414,14 @@ async def _answer(function: Callable[[], Any]) -> Response:
         return JSONResponse({"error": f"{error.filename or 'a file'}: {error.strerror or error}"}, 400)
     except Exception as error:  # The page shows unexpected errors, as the command line does.
         return JSONResponse({"error": ending_of(error)[1]}, 500)
+
+
+def _lens(query: Json) -> pictures.Lens | None:
+    """The lens whose distortion the page wants to be removed: JSON of the `lens` that it was told of the station; None without one."""
+    if "lens" not in query:
+        return None
+    model, width, height, params = json.loads(query["lens"])
+    return str(model), int(width), int(height), tuple(float(param) for param in params)
 
 
 def _plain(value: Any) -> Any:

@@ -20,7 +20,7 @@ from malus.figures import encode, step_for
 from malus.options import Options
 from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
-from malus.studio.pictures import displayed
+from malus.studio.pictures import displayed, distorting
 
 #: Long side of the reduced image on which GrabCut runs: it then takes seconds, also for large images.
 _CUT_SIDE_PX = 640
@@ -128,8 +128,7 @@ def outline_of_prior(station: malus.Station, options: Options, threads: int) -> 
 
 
 def _has_distortion(station: malus.Station) -> bool:
-    camera = station.describe().get("camera")
-    return camera is not None and camera["model"] not in ("PINHOLE", "SIMPLE_PINHOLE")
+    return distorting(station.describe().get("camera")) is not None
 
 
 def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:

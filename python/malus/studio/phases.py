@@ -34,7 +34,7 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
     if said["mosaic"] or not isinstance(angles, list) or len(angles) != len(said["images"]):
         raise InputError("this is for one image an angle, with all angles given; the run checks others")
     image, mask, points = prior_upon_image(station, threads=threads)
-    if said["camera"] is None or not len(points):
+    if said.get("camera") is None or not len(points):
         raise DataError("the coarse surface covers no pixel of the polarized image, or there is none yet")
     paths = [Path(path) for path in said["images"]]
     images = small_images(paths, said["response"], said["exposure_s"])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,11 @@ from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
 from malus import _core, raw
+from malus.camera import Camera
+from malus.capture import undistort
 from malus.errors import InputError
 from malus.figures import encode, reduced, step_for
+from malus.threads import ALL_CORES
 
 #: Percentile of the pixels that is shown white.
 _WHITE_PERCENTILE = 99.5
@@ -25,6 +28,8 @@ THUMBNAIL_SIDE_PX = 320
 TILE_PX = 512
 
 Made = TypeVar("Made")
+#: A lens: model, width, height and parameters, as malus.Camera takes them.
+Lens = tuple[str, int, int, tuple[float, ...]]
 
 
 def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[np.float32], bool]:
@@ -37,6 +42,13 @@ def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[n
         return raw.linear_image(path, half_size=half_size), True
     pixels, full_scale = _core.read_image_dn(str(path))
     return np.asarray(pixels, dtype=np.float32) / np.float32(full_scale), full_scale != 255
+
+
+def distorting(camera: Mapping[str, Any] | None) -> Lens | None:
+    """The lens of a station's camera, as `Station.describe` gives it; None for one without distortion, or that is not known."""
+    if camera is None or camera["model"] in ("PINHOLE", "SIMPLE_PINHOLE"):
+        return None
+    return camera["model"], camera["width"], camera["height"], tuple(camera["params"])
 
 
 def displayed(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
@@ -60,22 +72,29 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     return np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
 
 
-def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
-    """Caches the result of `make` for a file until the file changes."""
+def _undistorted(pixels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
+    """Pixels H×W×C as a camera without the lens's distortion sees them, which is that of all results; black where there are none."""
+    camera = Camera(*lens)
+    channels = [undistort(pixels[..., c], camera, threads=ALL_CORES) for c in range(pixels.shape[2])]
+    return np.stack([np.rint(np.clip(np.nan_to_num(one), 0, 255)).astype(np.uint8) for one in channels], -1)
+
+
+def _cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
+    """Caches the result of `make` for a file, and for what else `make` takes, until the file changes."""
     # Two requests for tiles at the same time must not read the image twice.
     lock = threading.Lock()
 
     @lru_cache(maxsize=size)
-    def made(path: Path, _changed_ns: int) -> Made:
-        return make(path)
+    def made(path: Path, _changed_ns: int, *more: Hashable) -> Made:
+        return make(path, *more)
 
-    def current(path: Path) -> Made:
+    def current(path: Path, *more: Hashable) -> Made:
         try:
             changed = path.stat().st_mtime_ns
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         with lock:
-            return made(path, changed)
+            return made(path, changed, *more)
 
     return current
 
@@ -97,9 +116,13 @@ def _thumbnail(path: Path) -> bytes:
     return encode(displayed(path, THUMBNAIL_SIDE_PX), "JPEG", quality=85)
 
 
-def _pyramid(path: Path) -> list[Image.Image]:
-    """The image, then each level with half the sides (rounded up) of the one before, until a level fits into one tile."""
+def _pyramid(path: Path, lens: Lens | None) -> list[Image.Image]:
+    """The image, without the distortion of a lens if one is given, then each level with half the sides (rounded up) of the one
+    before, until a level fits into one tile.
+    """
     pixels = _toned(path)
+    if lens is not None:
+        pixels = _undistorted(pixels, lens)
     levels = [Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else np.ascontiguousarray(pixels[..., :3]))]
     while max(levels[-1].size) > TILE_PX:
         levels.append(levels[-1].reduce(2))
@@ -112,9 +135,9 @@ thumbnail = _cached(_thumbnail, 400)
 _pyramid_of = _cached(_pyramid, 3)
 
 
-def tile(path: Path, halvings: int, column: int, row: int) -> bytes:
-    """JPEG of one tile of an image whose sides were halved `halvings` times."""
-    levels = _pyramid_of(path)
+def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = None) -> bytes:
+    """JPEG of one tile of an image whose sides were halved `halvings` times; lens: its distortion is removed first."""
+    levels = _pyramid_of(path, lens)
     if not 0 <= halvings < len(levels):
         raise InputError(f"{path}: has {len(levels)} levels, expected one of them")
     level = levels[halvings]

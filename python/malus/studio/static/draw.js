@@ -11,7 +11,7 @@ const image = byId('draw-image');
 let view = null;
 let layer = null;
 const unsaved = new Map();  // Painted layers that could not be saved yet, by nameOfLayer().
-let shown = { image: null, what: null, station: null };
+let shown = { image: null, what: null, station: null, seen: null };
 let tool = 'move';
 let label = null;
 let width = 24;
@@ -80,6 +80,9 @@ async function imagesOf(kind) {
   return kind === 'scale' ? photos : [...state.station.images.slice(0, 1), ...photos.filter((path) => !state.station.images.includes(path))];
 }
 
+// Patches and profiles count in the pixels of the results, which have no distortion; all else in those of the image as taken.
+const lens = () => what.value === 'patch' || what.value === 'profile' ? state.station.lens : null;
+
 const nameOfLayer = () => `${shown.what} of ${shown.station}`;
 
 // Saves the painted layer before something else is shown, unless nothing is painted. If saving fails, the layer is kept in this page
@@ -105,12 +108,13 @@ async function showImage() {
     say(await saveBefore());
     byId('draw-state').textContent = '';
   }
-  if (shown.image !== image.value) {
-    await view.open(image.value);
+  const seen = JSON.stringify([image.value, lens()]);
+  if (shown.seen !== seen) {
+    await view.open(image.value, lens());
     cursor = null;
   }
   const fresh = shown.what !== what.value || shown.station !== state.station.path || isOutdated();
-  shown = { image: image.value, what: what.value, station: state.station.path };
+  shown = { image: image.value, what: what.value, station: state.station.path, seen };
   if (fresh) {
     points = [];
     tool = 'move';
@@ -498,7 +502,12 @@ function shapeSide(list) {
     make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value || undefined; return store(list, all); }) })),
     ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = numbersIn(event.target, entry[key].length); return store(list, all); }) }))),
     button('Remove', () => remove(list, all, entry)));
-  return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
+  return [...whereItCounts(), ...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
+}
+
+function whereItCounts() {
+  if (lens()) return [make('p', { class: 'note' }, 'The image is shown without the distortion of the lens, as the results are: patches and profiles count in their pixels.')];
+  return state.station.lens_known ? [] : [make('p', { class: 'note' }, 'The lens is not known here. If it distorts, what is drawn here lies beside its place in the results, which have no distortion; a profile that is picked on a result lies right.')];
 }
 
 const here = () => nameOfPhoto.get(image.value) ?? image.value.split('/').pop();
