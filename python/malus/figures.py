@@ -766,7 +766,9 @@ class Plates:
             for k, n in enumerate(histogram["counts"])
         ]
         header = ["surface", "from_gsd", "to_gsd", "count"]
-        caption = f"Share of the pixels in each {readable(width, 2)} GSD of distance, in classes of {', '.join(classes)} GSD."
+        caption = (
+            f"Share of the pixels in each {readable(width, 2)} GSD of distance, in classes of {', '.join(classes)} GSD."
+        )
         if beyond:
             caption += f" Beyond the scale: {', '.join(beyond)}."
         return self.figure(name, title, caption, drawing, header, rows)

@@ -158,7 +158,9 @@ def test_an_environment_whose_making_was_interrupted_is_made_again(tmp_path: Pat
     (folder / "scripts").mkdir()
     shutil.copy(ROOT / "scripts/setup.sh", folder / "scripts")
     (made / "python").symlink_to("/bin/true")
-    calls = 'set -euo pipefail; source scripts/setup.sh; /usr/bin/python3() { echo called with "$@"; }; create_environment'
+    calls = (
+        'set -euo pipefail; source scripts/setup.sh; /usr/bin/python3() { echo called with "$@"; }; create_environment'
+    )
 
     def said() -> str:
         return subprocess.run(["bash", "-c", calls], cwd=folder, capture_output=True, text=True, check=True).stdout

@@ -1,8 +1,8 @@
-#include "malus/core/digits_internal.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
+
+#include "malus/core/digits_internal.h"
 
 namespace malus {
 namespace {

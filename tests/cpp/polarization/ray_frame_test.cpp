@@ -46,8 +46,7 @@ TEST(RayFrame, SlopesOfAnOrthographicHeightAllowForTheShapeOfPixels) {
   // A plane that comes nearer by 0.3 per length to the right, and by 0.5 downwards.
   const Slopes expected = RayFrame{}.slopes(Eigen::Vector3d(-0.3, -0.5, -1).normalized());
   const double focal = frame_camera.focal();
-  const Slopes actual =
-      slopes_of_height(&frame_camera)(0.3 * focal / frame_camera.fx, 0.5 * focal / frame_camera.fy);
+  const Slopes actual = slopes_of_height(&frame_camera)(0.3 * focal / frame_camera.fx, 0.5 * focal / frame_camera.fy);
   EXPECT_NEAR(actual.p, expected.p, 1e-12);
   EXPECT_NEAR(actual.q, expected.q, 1e-12);
   const Slopes square = slopes_of_height(nullptr)(0.3, 0.5);
