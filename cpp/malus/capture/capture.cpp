@@ -117,10 +117,12 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   exposures.names = input.names;
   exposures.images.resize(count);
   exposures.saturated.resize(count);
+  std::vector<std::string> doubts(count);
   context.progress("capture", 0, "reading " + std::to_string(count) + " images");
   parallel_for(context, count, 1, [&](std::size_t k, std::size_t) {
     RawImage raw = input.load(k);
-    const Levels levels = levels_of(raw, spec, options.saturation, input.names[k]);
+    const Levels levels = levels_of(raw, spec, curve, options.saturation, input.names[k]);
+    doubts[k] = doubt_of_white_level(raw, levels, input.names[k]);
     LinearImage linear = linearize(std::move(raw), curve, levels, weights, input.names[k], context);
     if (spec.mosaic && linear.color) {
       throw input_error(input.names[k] +
@@ -140,6 +142,8 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   for (std::size_t k = 1; k < count; ++k) {
     require_same_size(exposures.images[k], input.names[k], exposures.images[0], input.names[0]);
   }
+  const auto doubt = std::ranges::find_if(doubts, [](const std::string& some) { return !some.empty(); });
+  if (doubt != doubts.end()) context.log(LogLevel::warning, *doubt);
   return exposures;
 }
 
@@ -347,7 +351,7 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
     if (raw.pixels.channels() != 3)
       throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
     require_size(raw.pixels, mean.size(), input.names[k]);
-    const Levels levels = levels_of(raw, input.polarized, options.saturation, input.names[k]);
+    const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
     const ResamplingMap map(input.lens, maps[k]);
     const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map,
                                         options.registration.interpolation, context)

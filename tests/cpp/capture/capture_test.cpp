@@ -191,6 +191,29 @@ TEST(Capture, images_that_cannot_be_of_one_series_are_named) {
   expect_refused(images, ErrorCode::data, "image 4.tif cannot be registered to image 0.tif");
 }
 
+TEST(Capture, a_white_level_that_is_missing_is_asked_for) {
+  CaptureInput input = aligned_input();
+  input.load = [](std::size_t k) {
+    Image<float> numbers = aligned_scene()[k];
+    for (float& value : numbers) value = std::round(4095 * std::min(value, 1.F));
+    for (int u = 0; u < 20; ++u) numbers(u, 0) = 4095;
+    return RawImage{std::move(numbers), 16, false, 65535};
+  };
+  std::vector<std::string> warnings;
+  Context context;
+  context.on_log = [&](LogLevel level, const std::string& text) {
+    if (level == LogLevel::warning) warnings.push_back(text);
+  };
+  CaptureOptions options;
+  options.mode = RegistrationMode::off;
+  capture_stack(input, options, context);
+  ASSERT_EQ(warnings.size(), 1u);
+  expect_contains(warnings[0], "image 0.tif: reaches 4095, the largest number of 12 bits");
+  input.polarized.white_level = 4095;
+  EXPECT_NE(capture_stack(input, options, context).saturated(5, 0), 0);
+  EXPECT_EQ(warnings.size(), 1u);
+}
+
 TEST(Capture, noise_free_computed_images_may_be_identical) {
   const CaptureInput flat = input_of({4, Image<float>(stone_size, 1, 0.5f)}, {0, 45, 90, 135});
   CaptureOptions options;

@@ -86,6 +86,33 @@ TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
       ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
 }
 
+TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
+  const TemporaryFolder folder;
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  station.images.clear();
+  const auto warnings = [&](const char* name) {
+    station.file.polarized.images = {folder / name};
+    std::string all;
+    for (const std::string& warning : check_station(station, {}, {}).warnings) all += warning + "\n";
+    return all;
+  };
+  Image<std::uint16_t> numbers({40, 30}, 1, std::uint16_t{3000});
+  std::fill_n(numbers.row(0), 120, std::uint16_t{4095});
+  write_png16(folder / "12.png", numbers);
+  expect_contains(warnings("12.png"), "is white_level = 4095 right?");
+  station.file.polarized.white_level = 4095;
+  expect_contains(warnings("12.png"), "10 % of the object's pixels are saturated");
+
+  station.file.polarized.white_level.reset();
+  Image<std::uint8_t> reddish({40, 30}, 3, std::uint8_t{120});
+  for (std::size_t i = 0; i < reddish.count(); i += 3) reddish[i] = 255;
+  write_png(folder / "red.png", reddish);
+  expect_contains(warnings("red.png"), "100 % of the object's pixels are saturated");
+  station.file.polarized.channel = ColorChannel::green;
+  EXPECT_EQ(warnings("red.png").find("saturated"), std::string::npos) << "red is not used";
+}
+
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
   const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
