@@ -187,7 +187,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = pixels_on(object);
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
-  if (const auto& labels = station.file.optics.label_image; labels) require_labels(read_labels(*labels), plan.size);
+  if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     if (!station.file.camera) {

@@ -84,6 +84,15 @@ TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
   station.file.optics.label_image = folder / "labels.png";
   expect_error(
       ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
+
+  std::filesystem::create_directory(folder / "polarization");
+  station.file.optics.label_image = folder / "polarization/label.png";
+  write_png(*station.file.optics.label_image, Image<std::uint8_t>({40, 30}, 1, std::uint8_t{1}));
+  folder.write("manifest.json", "{}");
+  check_station(station, {}, {});
+  station.file.camera->lens = {LensModel::opencv, {40, 30}, {200, 200, 19.5, 14.5, -0.25, 0, 0, 0}};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label.png is of a run", "images as taken");
 }
 
 TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
