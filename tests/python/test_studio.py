@@ -577,6 +577,45 @@ def test_tiles_make_up_the_image(tmp_path: Path) -> None:
             pictures.tile(path, *place)
 
 
+def test_patches_and_profiles_are_drawn_on_the_image_without_distortion(tmp_path: Path) -> None:
+    import tifffile
+    from PIL import Image
+
+    from malus.capture import undistort
+    from malus.studio import pictures
+
+    v, u = np.mgrid[:200, :300].astype(np.float32)
+    taken = np.rint(127 + 100 * np.sin(u / 15) * np.sin(v / 15)).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "taken.tif", taken)
+    camera = Camera("SIMPLE_RADIAL", 300, 200, [400.0, 149.5, 99.5, -0.2])
+    described = {"camera": {"model": camera.model, "width": 300, "height": 200, "params": camera.params}}
+    lens = pictures.distorting_lens(described)
+    with Image.open(io.BytesIO(pictures.tile(tmp_path / "taken.tif", 0, 0, 0, lens))) as tile:
+        shown = np.asarray(tile).astype(int)
+    expected = undistort(taken, camera)
+    assert np.nanmax(np.abs(shown - expected)) < 10  # what JPEG changes
+    with Image.open(io.BytesIO(pictures.tile(tmp_path / "taken.tif", 0, 0, 0))) as tile:
+        assert np.abs(np.asarray(tile).astype(int) - taken).max() < 10
+    assert np.nanmax(np.abs(taken - expected)) > 30
+    assert pictures.distorting_lens({}) is None
+    assert pictures.distorting_lens({"camera": described["camera"] | {"model": "PINHOLE"}}) is None
+
+
+def test_studio_knows_whether_the_lens_of_a_station_distorts(served: Served, painted: Any) -> None:
+    station, _ = painted
+    assert station["distorts"] is False
+    camera = '[camera]\nmodel = "SIMPLE_RADIAL"\nwidth = 200\nheight = 160\nparams = [300.0, 100.0, 80.0, -0.2]\n'
+    pose = "qvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]\n"
+    with (served.folder / "drawn.toml").open("a") as file:
+        file.write(camera + pose)
+    assert served.asked("station?path=drawn.toml")["distorts"] is True
+    cookie = {"Cookie": served.cookie()}
+    asked = {"path": "pol/pol_000.tif", "halvings": 0, "column": 0, "row": 0}
+    for station_file, expected in (("drawn.toml", 200), ("pol/pol_000.tif", 400)):
+        address = urlencode({**asked, "station": station_file})
+        assert served.ask("GET", f"/api/tile?{address}", cookie)[0] == expected
+
+
 def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 

@@ -75,7 +75,7 @@ class Studio:
             "photos": self._photos,
             "options": self._options,
             "thumbnail": lambda q: Response(pictures.thumbnail(self.root.file(q["path"])), media_type="image/jpeg"),
-            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), *(int(q[key]) for key in ("halvings", "column", "row"))), media_type="image/jpeg"),
+            "tile": self._tile,
             "mask": lambda q: Response(masks.read(self.root.file(q["path"]), q.get("kind", "mask")), media_type="image/png"),
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
@@ -143,8 +143,10 @@ class Studio:
         return self._shown(StationDocument.read(self.root.file(query["path"])))
 
     def _shown(self, document: StationDocument) -> Json:
-        """The file and its values; and, by their names on the page, its images, mask and labels that are in the opened folder."""
-        images, error = self._images(document)
+        """The file and its values; by their names on the page, its images, mask and labels that are in the opened folder; and whether
+        its lens is known to distort.
+        """
+        images, error, distorts = self._images(document)
         return {
             "path": self.root.name(document.path),
             "text": document.text,
@@ -153,17 +155,21 @@ class Studio:
             "images": images,
             "painted": {kind: self._painted(document, kind) for kind in _PAINTED},
             "error": error,
+            "distorts": distorts,
         }
 
-    def _images(self, document: StationDocument) -> tuple[list[str], str | None]:
-        """The polarized images by their names on the page, and what is wrong with the station."""
+    def _images(self, document: StationDocument) -> tuple[list[str], str | None, bool]:
+        """The polarized images by their names on the page, what is wrong with the station, and whether its lens is known to
+        distort.
+        """
         try:
             description = malus.Station.load(document.path).describe()
-            return [self.root.name(Path(path)) for path in description["images"]], None
+            images = [self.root.name(Path(path)) for path in description["images"]]
+            return images, None, pictures.distorting_lens(description) is not None
         except MalusError as error:
             # The user may correct the error on these images, for example by marking control points.
             images = folders.polarized_images(self.root, document.path, document.values)
-            return images, str(error)
+            return images, str(error), False
 
     def _painted(self, document: StationDocument, kind: str) -> Json | None:
         """The file that the station names for a mask or labels: its name on the page, and its digest. None if the station names
@@ -251,6 +257,12 @@ class Studio:
 
     # ---- images, masks ----
 
+    def _tile(self, query: Json) -> Response:
+        """A tile of an image; with `station`, of the image without the distortion of this station's lens."""
+        place = (int(query[key]) for key in ("halvings", "column", "row"))
+        lens = pictures.lens_of(self.root.file(query["station"])) if "station" in query else None
+        return Response(pictures.tile(self.root.file(query["path"]), *place, lens), media_type="image/jpeg")
+
     def _preview(self, body: Json) -> Json:
         return preview.preview(
             [self.root.file(name) for name in body["images"]],
@@ -312,7 +324,7 @@ class Studio:
                 present = self._painted(document, kind)
                 if ((present or {}).get("digest") or "") != query.get("painted", ""):
                     raise ChangedError(self.root.path(present["path"]) if present else document.path)
-                images, error = self._images(document)
+                images, error, _ = self._images(document)
                 if not images:
                     raise InputError(error or f"{document.path}: has no images")
                 values = masks.decode(content, pictures.size_of(self.root.file(images[0])))

@@ -20,7 +20,7 @@ from malus.figures import encode, step_for
 from malus.options import Options
 from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
-from malus.studio.pictures import displayed
+from malus.studio.pictures import displayed, distorting_lens
 
 #: Long side of the reduced image on which GrabCut runs: it then takes seconds, also for large images.
 _CUT_SIDE_PX = 640
@@ -124,16 +124,11 @@ def outline_of_prior(station: malus.Station, options: Options, threads: int) -> 
 
     Raises InputError for a lens with distortion: the prior lies in the undistorted image, the mask in the image as taken.
     """
-    if _has_distortion(station):
+    if distorting_lens(station.describe()) is not None:
         raise InputError(
             "the outline of the prior is for lenses without distortion, expected another tool for this one"
         )
     return encode(np.where(np.isfinite(_prior_in_view(station, options, threads)), 255, 0).astype(np.uint8), "PNG")
-
-
-def _has_distortion(station: malus.Station) -> bool:
-    camera = station.describe().get("camera")
-    return camera is not None and camera["model"] not in ("PINHOLE", "SIMPLE_PINHOLE")
 
 
 def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,11 @@ from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
 from malus import _core, raw
+from malus.camera import Camera
+from malus.capture import undistort
 from malus.errors import InputError
 from malus.figures import encode, reduced, step_for
+from malus.station import Station
 
 #: Percentile of the pixels that is shown white.
 _WHITE_PERCENTILE = 99.5
@@ -25,6 +28,16 @@ THUMBNAIL_SIDE_PX = 320
 TILE_PX = 512
 
 Made = TypeVar("Made")
+#: Model, width, height and parameters of a camera with distortion.
+Lens = tuple[str, int, int, tuple[float, ...]]
+
+
+def distorting_lens(station: Mapping[str, Any]) -> Lens | None:
+    """The lens in a description by `Station.describe`, if it is known and has distortion."""
+    camera = station.get("camera")
+    if camera is None or camera["model"] in ("PINHOLE", "SIMPLE_PINHOLE"):
+        return None
+    return camera["model"], camera["width"], camera["height"], tuple(camera["params"])
 
 
 def linear_or_encoded(path: Path, *, half_size: bool = False) -> tuple[NDArray[np.float32], bool]:
@@ -60,22 +73,22 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     return np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
 
 
-def _cached(make: Callable[[Path], Made], size: int) -> Callable[[Path], Made]:
-    """Caches the result of `make` for a file until the file changes."""
+def _cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
+    """Caches the result of `make` for a file, and further hashable arguments, until the file changes."""
     # Two requests for tiles at the same time must not read the image twice.
     lock = threading.Lock()
 
     @lru_cache(maxsize=size)
-    def made(path: Path, _changed_ns: int) -> Made:
-        return make(path)
+    def made(path: Path, _changed_ns: int, *how: object) -> Made:
+        return make(path, *how)
 
-    def current(path: Path) -> Made:
+    def current(path: Path, *how: object) -> Made:
         try:
             changed = path.stat().st_mtime_ns
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         with lock:
-            return made(path, changed)
+            return made(path, changed, *how)
 
     return current
 
@@ -97,24 +110,38 @@ def _thumbnail(path: Path) -> bytes:
     return encode(displayed(path, THUMBNAIL_SIDE_PX), "JPEG", quality=85)
 
 
-def _pyramid(path: Path) -> list[Image.Image]:
+def _straight(pixels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
+    """An image (H×W×C) without the distortion of its lens, as all results are; black where it has no data."""
+    channels = [np.nan_to_num(undistort(pixels[..., c], Camera(*lens))) for c in range(pixels.shape[2])]
+    return np.rint(np.clip(np.stack(channels, -1), 0, 255)).astype(np.uint8)
+
+
+def _pyramid(path: Path, lens: Lens | None) -> list[Image.Image]:
     """The image, then each level with half the sides (rounded up) of the one before, until a level fits into one tile."""
     pixels = _toned(path)
+    if lens is not None:
+        pixels = _straight(pixels, lens)
     levels = [Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else np.ascontiguousarray(pixels[..., :3]))]
     while max(levels[-1].size) > TILE_PX:
         levels.append(levels[-1].reduce(2))
     return levels
 
 
+def _lens_of(station: Path) -> Lens | None:
+    return distorting_lens(Station.load(station).describe())
+
+
+#: The lens of a station file, if it is known to distort.
+lens_of = _cached(_lens_of, 20)
 #: JPEG of an image, small.
 thumbnail = _cached(_thumbnail, 400)
 #: Few at a time, since images are large: the station's images are shown in turn, and one other.
 _pyramid_of = _cached(_pyramid, 3)
 
 
-def tile(path: Path, halvings: int, column: int, row: int) -> bytes:
-    """JPEG of one tile of an image whose sides were halved `halvings` times."""
-    levels = _pyramid_of(path)
+def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = None) -> bytes:
+    """JPEG of one tile of an image whose sides were halved `halvings` times. lens: it is shown without this lens's distortion."""
+    levels = _pyramid_of(path, lens)
     if not 0 <= halvings < len(levels):
         raise InputError(f"{path}: has {len(levels)} levels, expected one of them")
     level = levels[halvings]

@@ -11,7 +11,7 @@ const image = byId('draw-image');
 let view = null;
 let layer = null;
 const unsaved = new Map();  // Painted layers that could not be saved yet, by nameOfLayer().
-let shown = { image: null, what: null, station: null };
+let shown = { image: null, what: null, station: null, straight: false };
 let tool = 'move';
 let label = null;
 let width = 24;
@@ -80,6 +80,9 @@ async function imagesOf(kind) {
   return kind === 'scale' ? photos : [...state.station.images.slice(0, 1), ...photos.filter((path) => !state.station.images.includes(path))];
 }
 
+// Patches and profiles are places in the image without lens distortion, as in all results; masks, labels and marks in the image as taken.
+const isStraight = () => state.station.distorts && (what.value === 'patch' || what.value === 'profile');
+
 const nameOfLayer = () => `${shown.what} of ${shown.station}`;
 
 // Saves the painted layer before something else is shown, unless nothing is painted. If saving fails, the layer is kept in this page
@@ -105,12 +108,13 @@ async function showImage() {
     say(await saveBefore());
     byId('draw-state').textContent = '';
   }
-  if (shown.image !== image.value) {
-    await view.open(image.value);
+  const straight = isStraight();
+  if (shown.image !== image.value || shown.straight !== straight || (straight && shown.station !== state.station.path)) {
+    await view.open(image.value, straight ? state.station.path : null);
     cursor = null;
   }
   const fresh = shown.what !== what.value || shown.station !== state.station.path || isOutdated();
-  shown = { image: image.value, what: what.value, station: state.station.path };
+  shown = { image: image.value, what: what.value, station: state.station.path, straight };
   if (fresh) {
     points = [];
     tool = 'move';
@@ -498,7 +502,8 @@ function shapeSide(list) {
     make('label', {}, 'name ', make('input', { value: entry.name ?? '', change: doing((event) => { entry.name = event.target.value || undefined; return store(list, all); }) })),
     ...keys.map((key) => make('label', {}, `${key} [px] `, make('input', { value: entry[key].join(', '), change: doing((event) => { entry[key] = numbersIn(event.target, entry[key].length); return store(list, all); }) }))),
     button('Remove', () => remove(list, all, entry)));
-  return [...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
+  const note = isStraight() ? [make('p', { class: 'note' }, 'The image is shown without lens distortion, as all results are.')] : [];
+  return [...note, ...all.map(row), button(`Add one by numbers`, () => addShape([[0.4 * view.size.x, 0.4 * view.size.y], [0.6 * view.size.x, 0.6 * view.size.y]]))];
 }
 
 const here = () => nameOfPhoto.get(image.value) ?? image.value.split('/').pop();

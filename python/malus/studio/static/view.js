@@ -22,11 +22,12 @@ export class ImageView {
     new ResizeObserver(() => this.redraw()).observe(stage);
   }
 
-  // Shows an image of the opened folder, in tiles whose resolution fits the screen.
-  async open(path) {
+  // Shows an image of the opened folder, in tiles whose resolution fits the screen; with `station`, without the distortion of the
+  // station's lens.
+  async open(path, station = null) {
     const { width, height } = await ask('size', { path });
     const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(width, height) / TILE)));
-    const getTileUrl = (level, column, row) => addressOf('tile', { path, halvings: maxLevel - level, column, row });
+    const getTileUrl = (level, column, row) => addressOf('tile', { path, halvings: maxLevel - level, column, row, ...(station === null ? {} : { station }) });
     return new Promise((resolve, reject) => {
       this.viewer.addOnceHandler('open', () => { this.size = { x: width, y: height }; resolve(); });
       this.viewer.addOnceHandler('open-failed', () => reject(new Error('The image cannot be shown.')));
