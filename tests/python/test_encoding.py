@@ -89,6 +89,22 @@ def test_doubts_where_file_and_station_file_disagree(tmp_path: Path) -> None:
     assert doubts(linear, "linear") == doubts(linear, "curve.csv") == doubts(encoded, "gamma:1.3") == []
 
 
+def test_the_response_that_fits_is_suggested(tmp_path: Path) -> None:
+    """RAW developers write gamma 1.8 (ProPhoto RGB) and 2.2 (Adobe RGB), which are powers, unlike the curve of sRGB."""
+    for exponent, response in ((1.8, "gamma:1.8"), (2.2, "gamma:2.2")):
+        developed = [saved(tmp_path / f"{exponent}.png", icc_profile=profile_of_exponent(exponent))]
+        ((_, suggestion),) = doubts(developed, "linear")
+        assert f'response = "{response}"' in suggestion
+        assert doubts(developed, response) == []
+    ((message, suggestion),) = doubts([tmp_path / "1.8.png"], "srgb")
+    assert "another encoding" in message and "gray of a power" in message and 'response = "gamma:1.8"' in suggestion
+    assert doubts([tmp_path / "2.2.png"], "srgb") == []
+    gamma = PngImagePlugin.PngInfo()
+    gamma.add(b"gAMA", (55556).to_bytes(4, "big"))
+    ((_, suggestion),) = doubts([saved(tmp_path / "entry.png", pnginfo=gamma)], "linear")
+    assert 'response = "gamma:1.8"' in suggestion
+
+
 @pytest.fixture
 def with_profile(small_station: Path) -> Path:
     """The station's images are linear but carry a profile of a display encoding."""
