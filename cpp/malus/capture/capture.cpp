@@ -400,7 +400,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   Exposures exposures = load_exposures(input, curve, options, context);
   const Size size = exposures.images[0].size();
   if (input.mask)
-    require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
+    require_size_of_images(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
   if (input.lens && input.lens->size != size) {
     throw input_error(input.names[0] + " is " + to_string(size) + " pixels, but its camera is " +
                       to_string(input.lens->size));
@@ -447,6 +447,14 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   }
   context.progress("capture", 1, "done");
   return stack;
+}
+
+void require_size_of_images(const Mask& mask, Size images, const std::string& name) {
+  if (mask.size() == images) return;
+  const bool turned = mask.width() == images.height && mask.height() == images.width;
+  throw input_error(name + " is " + to_string(mask.size()) + " pixels, expected " + to_string(images) +
+                    " as the polarized images" +
+                    (turned ? "; EXIF orientation is ignored: turn the pixels of the images or of the mask" : ""));
 }
 
 Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context) {

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
 
@@ -16,7 +17,7 @@ Mask captured_object(const Station& station, Size size) {
   if (station.mask) return *station.mask;
   if (!station.file.polarized.mask) return Mask(size, 1, 255);
   Mask mask = read_mask(*station.file.polarized.mask);
-  require_size(mask, size, station.file.polarized.mask->string());
+  require_size_of_images(mask, size, "mask " + station.file.polarized.mask->string());
   return mask;
 }
 

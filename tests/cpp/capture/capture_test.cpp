@@ -132,6 +132,8 @@ TEST(Capture, mismatched_inputs_are_named) {
   CaptureInput input = aligned_input();
   input.mask = Mask({10, 10}, 1, 255);
   expect_refused(input, "10 x 10");
+  input.mask = Mask({180, 240}, 1, 255);
+  expect_refused(input, "mask is 180 x 240", "expected 240 x 180", "EXIF orientation is ignored");
   input = aligned_input();
   input.lens = LensCamera{LensModel::pinhole, {100, 100}, {80, 80, 50, 50}};
   expect_refused(input, "100 x 100");
