@@ -295,6 +295,23 @@ TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {
   }
 }
 
+TEST(Noise, of_smooth_encoded_images_is_at_least_that_of_their_quantization) {
+  const ResponseCurve curve = response_curve("srgb", "response");
+  LinearImage ramp{Image<float>({400, 300}), Mask({400, 300})};
+  for (int v = 0; v < 300; ++v)
+    for (int u = 0; u < 400; ++u)
+      ramp.intensity(u, v) = static_cast<float>(curve.linearize(std::round(255 * (0.1 + 0.002 * u)) / 255));
+  PolarizedSpec spec;
+  for (const int frames : {1, 4}) {
+    spec.frames_averaged = frames;
+    const NoiseModel noise = noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt, ramp);
+    for (const double encoded : {0.5, 0.8, 1.0}) {
+      const double step = curve.slope(encoded) / 255;
+      EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.65) << encoded;
+    }
+  }
+}
+
 struct RenderedCase {
   std::string scene;
 };
