@@ -134,8 +134,11 @@ def _contradict(a: Encoding, b: Encoding) -> bool:
     return max(a.exponent, b.exponent) > _OTHER * min(a.exponent, b.exponent)
 
 
-def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str]]:
-    """Message and suggestion if image files state another encoding than the station file's response; else an empty list."""
+def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str, str]]:
+    """Check, message and suggestion if image files state another encoding than the station file's response; else an empty list.
+
+    The check is "encoding" if one of the two is linear, or "curve" if both are for a display.
+    """
     exponent = {"linear": 1.0, "srgb": _SRGB_EXPONENT}.get(response)
     if exponent is None and response.startswith("gamma:"):
         exponent = _positive(response.removeprefix("gamma:"))
@@ -149,15 +152,18 @@ def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str]]:
     files = path.name if len(against) == 1 else f"{path.name} and {len(against) - 1} more"
     if taken.is_linear:
         return [
-            (f"images are encoded for a display by what their files say ({files}: {said.source}), but response = \"{response}\" leaves them so",
+            ("encoding",
+             f"images are encoded for a display by what their files say ({files}: {said.source}), but response = \"{response}\" leaves them so",
              f'is response = "{said.response}" right, or can the camera\'s RAW files be developed linearly?')
         ]  # fmt: skip
     if not said.is_linear:
         return [
-            (f"images have another encoding by what their files say ({files}: {said.source}) than response = \"{response}\"",
+            ("curve",
+             f"images have another encoding by what their files say ({files}: {said.source}) than response = \"{response}\"",
              f'is response = "{said.response}" right?')
         ]  # fmt: skip
     return [
-        (f"images are linear by what their files say ({files}: {said.source}), but response = \"{response}\" bends them",
+        ("encoding",
+         f"images are linear by what their files say ({files}: {said.source}), but response = \"{response}\" bends them",
          'is response = "linear" right?')
     ]  # fmt: skip

@@ -36,6 +36,7 @@ CHECKS = {
     "registration": "Registration of the images",
     "order": "Order of the images",
     "encoding": "Encoding of the image files",
+    "curve": "Curve of the image files",
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
     "angles": "Polarizer angles and exposures",
