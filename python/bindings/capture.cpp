@@ -42,11 +42,11 @@ void bind_capture(py::module_& module) {
     PolarizedSpec spec;
     spec.black_level = black;
     spec.white_level = white;
-    const Levels levels = levels_of(raw, spec, 1, "image");
-    return raw.pixels.channels() == 3 ? linearize_color(raw, response_curve(response, "response"), levels, {})
-                                      : linearize(std::move(raw), response_curve(response, "response"), levels,
-                                                  channel_weights(spec), "image", {})
-                                            .intensity;
+    const ResponseCurve curve = response_curve(response, "response");
+    const Levels levels = levels_of(raw, spec, curve, 1, "image");
+    return raw.pixels.channels() == 3
+               ? linearize_color(raw, curve, levels, {})
+               : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", {}).intensity;
   });
   module.def("undistort", [](const Image<float>& image, const CameraValues& values, int threads) {
     const LensCamera lens = to_camera(values, "camera").first;

@@ -2,6 +2,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <tuple>
 
 #include "arrays.h"
 #include "bindings.h"
@@ -86,11 +87,12 @@ Station with_developed(const Station& station, const std::vector<std::string>& i
   return result;
 }
 
-/// The station with warnings about its files, each with message and suggestion.
-Station with_file_doubts(const Station& station, const std::vector<std::pair<std::string, std::string>>& doubts) {
+/// The station with warnings about its files, each with the name of its check, message and suggestion.
+Station with_file_doubts(const Station& station,
+                         const std::vector<std::tuple<std::string, std::string, std::string>>& doubts) {
   Station result = station;
-  for (const auto& [message, suggestion] : doubts)
-    result.file_findings.push_back({"encoding", Severity::warning, message, suggestion, {}});
+  for (const auto& [check, message, suggestion] : doubts)
+    result.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
   return result;
 }
 

@@ -33,6 +33,8 @@ _ALIKE: dict[int, tuple[str, str]] = {
 }
 #: Relative difference up to which two values count as equal, because cameras round them.
 _SAME = 1e-3
+#: Ratio up to which exposure times are those of the station file: cameras write 1/60 s for 1/64 s. A third of a stop is more.
+_ROUNDED = 1.2
 
 
 def tags_of(path: Path) -> dict[int, Any]:
@@ -118,6 +120,27 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
                     "expected the same for all polarized images of a station"
                     + (" (or exposure_s, if they differ on purpose)" if tag == _EXPOSURE_TIME else "")
                 )
+
+
+def exposure_doubts(images: Sequence[Path], exposure_s: Sequence[float] | None) -> list[tuple[str, str, str]]:
+    """Check, message and suggestion if the files' exposure times have other ratios than those of the station file; else an empty list.
+
+    exposure_s: seconds, one per image, or None. Files that do not state an exposure time are taken to agree.
+    """
+    first: tuple[Path, float, float] | None = None
+    for path, stated in zip(images, exposure_s or (), strict=False):
+        seconds = number_of(tags_of(path).get(_EXPOSURE_TIME))
+        if seconds is None or seconds <= 0:
+            continue
+        first = first or (path, seconds, stated)
+        of_files, of_station = seconds / first[1], stated / first[2]
+        if max(of_files, of_station) > _ROUNDED * min(of_files, of_station):
+            message = (
+                f"{path.name} was exposed {of_files:.3g} times as long as {first[0].name} by what the files say, but "
+                f"{of_station:.3g} times by exposure_s"
+            )
+            return [("exposures", message, "is exposure_s in the order of the images?")]
+    return []
 
 
 def number_of(value: object) -> float | None:

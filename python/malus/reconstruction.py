@@ -165,7 +165,8 @@ def _readable(
         core = core.with_cloud(points, normals)
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
-    core = core.with_file_doubts(encoding.doubts(images, description["response"]))
+    doubts = encoding.doubts(images, description["response"]) + exif.exposure_doubts(images, description["exposure_s"])
+    core = core.with_file_doubts(doubts)
     if not images or not raw.is_raw(images[0]):
         return core
     developed = raw.develop(images, description["channel"], folder, progress)

@@ -36,6 +36,8 @@ CHECKS = {
     "registration": "Registration of the images",
     "order": "Order of the images",
     "encoding": "Encoding of the image files",
+    "curve": "Curve of the image files",
+    "exposures": "Exposure times of the image files",
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
     "angles": "Polarizer angles and exposures",

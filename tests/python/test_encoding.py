@@ -80,13 +80,30 @@ def test_files_without_metadata_have_no_known_encoding(tmp_path: Path) -> None:
 def test_doubts_where_file_and_station_file_disagree(tmp_path: Path) -> None:
     encoded = [saved(tmp_path / f"{k}.jpg", color=True, icc_profile=srgb()) for k in range(3)]
     linear = [saved(tmp_path / "linear.png", icc_profile=profile_of_exponent(1.0))]
-    ((message, suggestion),) = doubts(encoded, "linear")
+    ((_, message, suggestion),) = doubts(encoded, "linear")
     assert "0.jpg and 2 more" in message and "sRGB" in message and 'response = "srgb"' in suggestion
     for response in ("srgb", "gamma:2.2"):
         assert doubts(encoded, response) == []
-        ((message, suggestion),) = doubts(linear, response)
+        ((_, message, suggestion),) = doubts(linear, response)
         assert "linear.png" in message and 'response = "linear"' in suggestion
     assert doubts(linear, "linear") == doubts(linear, "curve.csv") == doubts(encoded, "gamma:1.3") == []
+
+
+def test_the_response_that_fits_is_suggested(tmp_path: Path) -> None:
+    """RAW developers write gamma 1.8 (ProPhoto RGB) and 2.2 (Adobe RGB), which are powers, unlike the curve of sRGB."""
+    for exponent, response in ((1.8, "gamma:1.8"), (2.2, "gamma:2.2")):
+        developed = [saved(tmp_path / f"{exponent}.png", icc_profile=profile_of_exponent(exponent))]
+        ((_, _, suggestion),) = doubts(developed, "linear")
+        assert f'response = "{response}"' in suggestion
+        assert doubts(developed, response) == []
+    ((check, message, suggestion),) = doubts([tmp_path / "1.8.png"], "srgb")
+    assert check == "curve"  # which the light does not tell
+    assert "another encoding" in message and "gray of a power" in message and 'response = "gamma:1.8"' in suggestion
+    assert doubts([tmp_path / "2.2.png"], "srgb") == []
+    gamma = PngImagePlugin.PngInfo()
+    gamma.add(b"gAMA", (55556).to_bytes(4, "big"))
+    ((_, _, suggestion),) = doubts([saved(tmp_path / "entry.png", pnginfo=gamma)], "linear")
+    assert 'response = "gamma:1.8"' in suggestion
 
 
 @pytest.fixture

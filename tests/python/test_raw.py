@@ -18,8 +18,10 @@ from conftest import malus as run_malus
 from conftest import malus_station
 from malus import raw
 from malus._files import sha256_of
+from malus.exif import exposure_doubts
 from malus.photogrammetry import front_end
 from malus.photogrammetry.photos import describe_photo
+from malus.report import CHECKS
 
 BLACK, WHITE = 512, 16383
 ANGLES = (0, 45, 90, 135)
@@ -220,3 +222,22 @@ def test_jpeg_settings_are_compared_too(tmp_path: Path) -> None:
     (tmp_path / "station.toml").write_text('[polarized]\nimages = "."\n')
     with pytest.raises(malus.InputError, match=r"pol_45\.jpg: exposure time 1/100 s, but pol_0\.jpg has 1/50 s"):
         malus.check(malus.Station.load(tmp_path / "station.toml"))
+
+
+def test_exposure_times_of_files_are_compared_with_the_stated_ones(tmp_path: Path) -> None:
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    images = []
+    for index, part in enumerate((60, 15, 60, 15)):
+        exif = Image.Exif()
+        exif[34665] = {33434: IFDRational(1, part)}
+        images.append(tmp_path / f"{index}.jpg")
+        Image.fromarray(np.full(SIZE, 100, np.uint8)).save(images[-1], exif=exif)
+    images.insert(0, tmp_path / "silent.jpg")
+    Image.fromarray(np.full(SIZE, 100, np.uint8)).save(images[0])
+    assert exposure_doubts(images, [1 / 64, 1 / 64, 1 / 16, 1 / 64, 1 / 16]) == []
+    assert exposure_doubts(images, None) == exposure_doubts([], [1.0]) == []
+    ((check, message, suggestion),) = exposure_doubts(images, [1, 4, 1, 4, 1])
+    assert check in CHECKS and "order of the images" in suggestion
+    assert message == "1.jpg was exposed 4 times as long as 0.jpg by what the files say, but 0.25 times by exposure_s"

@@ -647,6 +647,31 @@ def test_a_mask_in_any_color_is_shown(tmp_path: Path) -> None:
         assert ((np.asarray(shown) != 0) == (green[..., 1] != 0)).all()
 
 
+def test_a_mask_is_shown_as_a_run_reads_it(tmp_path: Path) -> None:
+    from PIL import Image
+
+    from malus.studio import masks
+
+    def shown(path: Path, kind: str) -> Any:
+        with Image.open(io.BytesIO(masks.read(path, kind))) as image:
+            return np.asarray(image)
+
+    transparent = np.full((6, 8, 4), 255, np.uint8)
+    transparent[:, :4, 3] = 0
+    Image.fromarray(transparent).save(tmp_path / "alpha.png")
+    assert (shown(tmp_path / "alpha.png", "mask") == transparent[..., 3]).all()
+    compressed = np.zeros((40, 60), np.uint8)  # what JPEG leaves of black
+    compressed[:] = np.arange(60) % 12
+    compressed[10:30, 20:40] = 240 + np.arange(20) % 15
+    Image.fromarray(compressed).save(tmp_path / "soft.png")
+    assert (shown(tmp_path / "soft.png", "mask") == np.where(compressed >= 240, 255, 0)).all()
+    labels = np.arange(48, dtype=np.uint8).reshape(6, 8) % 3
+    Image.fromarray(labels).save(tmp_path / "labels.png")
+    assert (shown(tmp_path / "labels.png", "labels") == labels).all()
+    Image.fromarray(np.zeros((6, 8), np.uint8)).save(tmp_path / "black.png")
+    assert not shown(tmp_path / "black.png", "mask").any()
+
+
 @pytest.mark.parametrize("white", [0.3, 4095])
 def test_floating_point_images_are_shown_as_bright_as_others(tmp_path: Path, white: float) -> None:
     import tifffile

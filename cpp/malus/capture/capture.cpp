@@ -117,10 +117,12 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   exposures.names = input.names;
   exposures.images.resize(count);
   exposures.saturated.resize(count);
+  std::vector<std::string> doubts(count);
   context.progress("capture", 0, "reading " + std::to_string(count) + " images");
   parallel_for(context, count, 1, [&](std::size_t k, std::size_t) {
     RawImage raw = input.load(k);
-    const Levels levels = levels_of(raw, spec, options.saturation, input.names[k]);
+    const Levels levels = levels_of(raw, spec, curve, options.saturation, input.names[k]);
+    doubts[k] = doubt_of_white_level(raw, levels, input.names[k]);
     LinearImage linear = linearize(std::move(raw), curve, levels, weights, input.names[k], context);
     if (spec.mosaic && linear.color) {
       throw input_error(input.names[k] +
@@ -140,6 +142,8 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   for (std::size_t k = 1; k < count; ++k) {
     require_same_size(exposures.images[k], input.names[k], exposures.images[0], input.names[0]);
   }
+  const auto doubt = std::ranges::find_if(doubts, [](const std::string& some) { return !some.empty(); });
+  if (doubt != doubts.end()) context.log(LogLevel::warning, *doubt);
   return exposures;
 }
 
@@ -347,7 +351,7 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
     if (raw.pixels.channels() != 3)
       throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
     require_size(raw.pixels, mean.size(), input.names[k]);
-    const Levels levels = levels_of(raw, input.polarized, options.saturation, input.names[k]);
+    const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
     const ResamplingMap map(input.lens, maps[k]);
     const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map,
                                         options.registration.interpolation, context)
@@ -396,7 +400,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   Exposures exposures = load_exposures(input, curve, options, context);
   const Size size = exposures.images[0].size();
   if (input.mask)
-    require_size(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
+    require_size_of_images(*input.mask, size, input.polarized.mask ? "mask " + input.polarized.mask->string() : "mask");
   if (input.lens && input.lens->size != size) {
     throw input_error(input.names[0] + " is " + to_string(size) + " pixels, but its camera is " +
                       to_string(input.lens->size));
@@ -443,6 +447,14 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   }
   context.progress("capture", 1, "done");
   return stack;
+}
+
+void require_size_of_images(const Mask& mask, Size images, const std::string& name) {
+  if (mask.size() == images) return;
+  const bool turned = mask.width() == images.height && mask.height() == images.width;
+  throw input_error(name + " is " + to_string(mask.size()) + " pixels, expected " + to_string(images) +
+                    " as the polarized images" +
+                    (turned ? "; EXIF orientation is ignored: turn the pixels of the images or of the mask" : ""));
 }
 
 Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context) {

@@ -66,6 +66,27 @@ LinearImage samples_of_one_filter(const LinearImage& mosaic, const std::string& 
   return samples;
 }
 
+/// 1 / full well of the shot noise that stands for quantization behind a response curve, matched at half of white; 0
+/// for a linear response. Frames are averaged before they are quantized.
+double quantization_as_shot_noise(const ResponseCurve& curve, const Levels& levels, double frames) {
+  if (curve.is_identity()) return 0;
+  const double signal = 0.5;
+  double low = 0, high = 1;
+  for (int i = 0; i < 40; ++i) {
+    const double middle = 0.5 * (low + high),
+                 scale = curve.kind == ResponseCurve::Kind::table ? std::max(1.0, curve.encoded.back()) : 1.0;
+    (curve.linearize(middle * scale) < signal ? low : high) = middle;
+  }
+  const double step = levels.dn_step * curve.slope(low);
+  return frames * step * step / 12 / signal;
+}
+
+/// Another full well; the noise without light stays the same.
+void set_full_well(NoiseModel& noise, double full_well_e) {
+  noise.read_noise_e *= full_well_e / noise.full_well_e;
+  noise.full_well_e = full_well_e;
+}
+
 }  // namespace
 
 std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated) {
@@ -111,13 +132,14 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
                        const std::optional<std::array<double, 3>>& color_weights, const LinearImage& base) {
   NoiseModel noise;
   noise.frames_averaged = spec.frames_averaged;
-  const double frames = spec.frames_averaged;
+  const double frames = spec.frames_averaged, quantized = quantization_as_shot_noise(curve, levels, frames);
   double squares = color_weights ? 0 : 1;
   if (color_weights) {
     for (const double weight : *color_weights) squares += weight * weight;
   }
   if (!spec.full_well_e) {
-    // The estimate already includes quantization and the sum of channels.
+    // The estimate already includes the sum of channels, and quantization where noise is as large as a step. Less noise
+    // leaves no trace of quantization, as in smooth parts of a JPEG.
     const std::optional<LinearImage> alike =
         spec.mosaic_colors ? std::optional(samples_of_one_filter(base, *spec.mosaic_colors)) : std::nullopt;
     const LinearImage& samples = alike ? *alike : base;
@@ -126,25 +148,15 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
       noise.read_noise_e =
           spec.read_noise_e ? *spec.read_noise_e / std::sqrt(squares) : estimate->read_noise_e / std::sqrt(frames);
       noise.quantization = levels.dn_step * curve.slope(0);
+      const double least = squares * quantized;
+      if (least * noise.full_well_e > 1) set_full_well(noise, 1 / least);
       return noise;
     }
   }
   noise.full_well_e = spec.full_well_e.value_or(noise.full_well_e) / squares;
   noise.read_noise_e = spec.read_noise_e.value_or(noise.read_noise_e) / std::sqrt(squares);
   noise.quantization = levels.dn_step * curve.slope(0);
-  if (!curve.is_identity()) {
-    const double signal = 0.5;
-    double low = 0, high = 1;
-    for (int i = 0; i < 40; ++i) {
-      const double middle = 0.5 * (low + high),
-                   scale = curve.kind == ResponseCurve::Kind::table ? std::max(1.0, curve.encoded.back()) : 1.0;
-      (curve.linearize(middle * scale) < signal ? low : high) = middle;
-    }
-    const double step = levels.dn_step * curve.slope(low);
-    const double full_well = 1 / (1 / noise.full_well_e + frames * step * step / 12 / signal);
-    noise.read_noise_e *= full_well / noise.full_well_e;
-    noise.full_well_e = full_well;
-  }
+  if (!curve.is_identity()) set_full_well(noise, 1 / (1 / noise.full_well_e + quantized));
   return noise;
 }
 

@@ -21,6 +21,7 @@ std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Ma
 ///  - the weighted sum of color channels, Σ w² of one channel's variance;
 ///  - quantization behind a response curve that is not linear: its variance slope² step² / 12 grows about linearly with
 ///    the signal, so it is carried as additional shot noise (matched at half of white), plus a constant part at black.
+///    Estimated shot noise is at least that.
 NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, const Levels& levels,
                        const std::optional<std::array<double, 3>>& color_weights, const LinearImage& base);
 

@@ -10,6 +10,7 @@
 #include "malus/capture/registration_internal.h"
 #include "malus/capture/registration_rows_internal.h"
 #include "malus/core/digits_internal.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -289,7 +290,8 @@ class Level {
   }
 
   /// Lower quartile of the disagreement, which represents pixels whose contrast the polarizer hardly changes. Every
-  /// eighth row of the blocks is enough for it.
+  /// eighth row of the blocks is enough for it. There are no values if maps have strayed so far that what all images
+  /// show lies between the blocks of a large image.
   double disagreement_scale(const std::vector<Affine>& maps, const Region& region) const {
     std::vector<std::vector<float>> parts(blocks_.size());
     for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
@@ -302,9 +304,7 @@ class Level {
     });
     std::vector<float> values;
     for (const std::vector<float>& part : parts) values.insert(values.end(), part.begin(), part.end());
-    const auto quartile = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 4);
-    std::nth_element(values.begin(), quartile, values.end());
-    return std::max(static_cast<double>(*quartile), 1e-4);
+    return std::max(static_cast<double>(lower_quartile_in_place(values)), 1e-4);
   }
 
   Normals normal_equations(const std::vector<Affine>& maps, bool assess) const {

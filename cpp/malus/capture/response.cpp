@@ -14,6 +14,8 @@ namespace {
 
 constexpr std::size_t max_table_bytes = 4u << 20;
 constexpr std::size_t max_table_rows = 65536;
+/// Number of clipped samples that do not come by chance.
+constexpr std::ptrdiff_t fewest_clipped = 10;
 
 double srgb_to_linear(double x) {
   return x <= 0.04045 ? x / 12.92 : std::pow((x + 0.055) / 1.055, 2.4);
@@ -65,7 +67,6 @@ void check_table(ResponseCurve& curve, const std::string& name) {
 class Linearizer {
  public:
   Linearizer(const RawImage& raw, const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
-    table_in_dn_ = curve.kind == ResponseCurve::Kind::table && curve.encoded.back() > 1;
     if (raw.is_float || curve.is_identity()) return;
     // Table of the curve for every number that the file can hold.
     for (int dn = 0; dn < 1 << raw.bits; ++dn) of_number_.push_back(through_curve(dn));
@@ -93,11 +94,10 @@ class Linearizer {
   }
 
  private:
-  double through_curve(double dn) const { return curve_.linearize(table_in_dn_ ? dn : encoded(dn)); }
+  double through_curve(double dn) const { return curve_.linearize(curve_.is_of_numbers() ? dn : encoded(dn)); }
 
   const ResponseCurve& curve_;
   const Levels& levels_;
-  bool table_in_dn_ = false;
   std::vector<double> of_number_;  ///< linear intensity of each digital number; empty = evaluate the curve
 };
 
@@ -173,10 +173,13 @@ ResponseCurve read_response_table(const std::filesystem::path& path) {
   return curve;
 }
 
-Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, double saturation, const std::string& name) {
+Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
+                 const std::string& name) {
+  double white_dn = raw.full_scale_dn;
+  if (curve.is_of_numbers()) white_dn = raw.is_float ? curve.encoded.back() : std::min(white_dn, curve.encoded.back());
   Levels levels;
   levels.black_dn = spec.black_level;
-  levels.white_dn = spec.white_level.value_or(raw.full_scale_dn);
+  levels.white_dn = spec.white_level.value_or(white_dn);
   levels.saturation = saturation;
   if (!(levels.white_dn > levels.black_dn) || !std::isfinite(levels.white_dn)) {
     std::ostringstream message;
@@ -185,6 +188,20 @@ Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, double saturati
   }
   levels.dn_step = raw.is_float ? 0.0 : 1.0 / (levels.white_dn - levels.black_dn);
   return levels;
+}
+
+std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name) {
+  if (raw.bits != 16 || levels.white_dn < raw.full_scale_dn) return {};
+  const float largest = *std::ranges::max_element(raw.pixels);
+  for (const int bits : {10, 12, 14}) {
+    const int number = (1 << bits) - 1;
+    if (largest != static_cast<float>(number) || std::ranges::count(raw.pixels, largest) < fewest_clipped) continue;
+    const std::string white = std::to_string(number);
+    return name + ": reaches " + white + ", the largest number of " + std::to_string(bits) +
+           " bits, in a file of 16: what the sensor clipped does not count as saturated; is white_level = " + white +
+           " right?";
+  }
+  return {};
 }
 
 std::array<double, 3> channel_weights(const PolarizedSpec& spec) {

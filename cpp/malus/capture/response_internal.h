@@ -23,6 +23,8 @@ struct ResponseCurve {
 
   /// True when linear = encoded; values below the black level then stay negative, so that dark means stay unbiased.
   bool is_identity() const { return kind == Kind::linear || (kind == Kind::gamma && exponent == 1); }
+  /// True for a table of DN.
+  bool is_of_numbers() const { return kind == Kind::table && encoded.back() > 1; }
   /// Linear intensity of an encoded one. sRGB: IEC 61966-2-1. Tables are interpolated linearly and held at their ends.
   double linearize(double value) const;
   /// d linear / d encoded, by a central difference of one 8-bit step.
@@ -47,8 +49,15 @@ struct Levels {
   double saturation = 0.995;  ///< encoded intensity from which a pixel counts as saturated
 };
 
-/// Levels of a raw image: white from the station file, else the file's full scale. Input error unless white > black.
-Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, double saturation, const std::string& name);
+/// Levels of a raw image: white from the station file, else the last number of a table of DN, from which on all numbers
+/// are alike, else the file's full scale. Input error unless white > black.
+Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
+                 const std::string& name);
+
+/// Question whether the white level is right; empty if there is no doubt. A file of 16 bits in which 1023, 4095 or
+/// 16383 is the largest number, and frequent, holds those of a sensor of fewer bits: what the sensor clipped would not
+/// count as saturated.
+std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name);
 
 /// Weights (R, G, B) that make one channel of three: channel_weights if given (scaled to sum 1), else `channel`:
 /// "red", "green", "blue", "mean", or "luminance" (Rec. 709: 0.2126, 0.7152, 0.0722 on linear values).

@@ -17,7 +17,17 @@ T median_in_place(std::vector<T>& values) {
   return *middle;
 }
 
-/// The same for a copy, or for values that are moved in.
+/// Lower quartile of the values: a quarter of them, rounded down, is not larger; 0 if there are none. Reorders the
+/// values. None may be NaN.
+template <class T>
+T lower_quartile_in_place(std::vector<T>& values) {
+  if (values.empty()) return T{};
+  const auto quartile = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 4);
+  std::nth_element(values.begin(), quartile, values.end());
+  return *quartile;
+}
+
+/// The median of a copy, or of values that are moved in.
 template <class T>
 T median(std::vector<T> values) {
   return median_in_place(values);

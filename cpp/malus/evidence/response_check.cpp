@@ -18,6 +18,19 @@ constexpr double least_degree = 0.02;
 /// A residual above this share of the intensity does not come from a response curve.
 constexpr double largest_residual = 0.1;
 
+/// Share of the second harmonics outside of all sinusoids that is more than rounding.
+constexpr double least_outside = 1e-6;
+
+/// Whether a response curve takes intensities off the sinusoid at all. Through three angles a sinusoid always passes,
+/// and a ratio of the rounding errors that are left would be taken for a bend.
+bool can_be_bent(const std::vector<double>& angles_rad) {
+  Eigen::MatrixX2d harmonics(static_cast<Eigen::Index>(angles_rad.size()), 2);
+  for (std::size_t k = 0; k < angles_rad.size(); ++k) {
+    harmonics.row(static_cast<Eigen::Index>(k)) << std::cos(4 * angles_rad[k]), std::sin(4 * angles_rad[k]);
+  }
+  return (residual_projection(angles_rad) * harmonics).norm() > least_outside * harmonics.norm();
+}
+
 struct Sums {
   double product = 0, square = 0;
 };
@@ -55,6 +68,13 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
                       " angles, expected one angle per image");
   }
+  ResponseCheck result;
+  Finding& finding = result.finding;
+  finding.check = "response";
+  if (!can_be_bent(angles_rad)) {
+    finding.message = "whether the images are linear could not be checked: expected four different angles or more";
+    return result;
+  }
   context.check_cancel();
   const auto parts = sums_of(pixel_samples(images, mask, 0), angles_rad);
   Sums all;
@@ -62,9 +82,6 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     all.product += part.product;
     all.square += part.square;
   }
-  ResponseCheck result;
-  Finding& finding = result.finding;
-  finding.check = "response";
   finding.message =
       "whether the images are linear could not be checked: there is too little polarization for it, or the object "
       "is small in the image";

@@ -19,9 +19,12 @@ namespace malus::codecs {
 /// Content of an image file's header.
 struct ImageHeader {
   Size size;
-  int channels = 1;        ///< of the result: 1 or 3
+  int channels = 1;        ///< of the result: 1 or 3, and one more for alpha that is kept
   double most_pixels = 0;  ///< largest number that a file of this length and compression can hold
 };
+
+/// What a decoder does with an alpha channel: none in the result, or the last one of the result, if the file has one.
+enum class Alpha { dropped, kept };
 
 /// Called with the header before pixels are decoded; throws when the pixels are not wanted or cannot be in the file.
 using HeaderCheck = std::function<void(const ImageHeader&)>;
@@ -31,9 +34,9 @@ inline constexpr double deflate_ratio = 1032;
 
 /// Throws std::runtime_error with the reason on files that are damaged or of an unsupported kind; the caller adds the
 /// path.
-RawImage decode_png(std::string_view bytes, const HeaderCheck& check);
+RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& check);
 RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check);
-RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check);
+RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& check);
 
 void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits);
 /// JPEG file of an 8-bit image of 1 or 3 channels; quality 1 … 100.

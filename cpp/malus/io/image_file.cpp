@@ -38,15 +38,15 @@ void check_header(const codecs::ImageHeader& header, const std::string& name) {
 }
 
 RawImage decode(const std::filesystem::path& path, const std::string& what, const std::string& name,
-                const codecs::HeaderCheck& check) {
+                codecs::Alpha alpha, const codecs::HeaderCheck& check) {
   const auto file = read_bytes(path, what);
   const std::string_view bytes(file.data(), file.size());
   const auto starts_with = [&](std::string_view magic) { return bytes.substr(0, magic.size()) == magic; };
   try {
-    if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, check);
+    if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, alpha, check);
     if (starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
     if (starts_with("II*\0"sv) || starts_with("MM\0*"sv) || starts_with("II+\0"sv) || starts_with("MM\0+"sv)) {
-      return codecs::decode_tiff(bytes, check);
+      return codecs::decode_tiff(bytes, alpha, check);
     }
   } catch (const Error&) {
     throw;
@@ -78,12 +78,29 @@ void refuse_raw(const std::filesystem::path& path, const std::string& name) {
                     "this one expects linear PNG or TIFF");
 }
 
+RawImage read_pixels(const std::filesystem::path& path, const std::string& what, codecs::Alpha alpha) {
+  const std::string name = name_of(what, path);
+  refuse_raw(path, name);
+  return decode(path, what, name, alpha, [&](const codecs::ImageHeader& header) { check_header(header, name); });
+}
+
+/// The colors (1 or 3 channels), none brighter than its pixel is opaque.
+Image<float> over_black(Image<float> pixels) {
+  const int channels = pixels.channels();
+  if (channels % 2 != 0) return pixels;
+  Image<float> colors = Image<float>::uninitialized(pixels.size(), channels - 1);
+  const float* from = pixels.data();
+  float* to = colors.data();
+  for (std::size_t i = 0; i < pixels.size().area(); ++i, from += channels) {
+    for (int c = 0; c + 1 < channels; ++c) *to++ = std::min(from[c], from[channels - 1]);
+  }
+  return colors;
+}
+
 }  // namespace
 
 RawImage read_image(const std::filesystem::path& path, const std::string& what) {
-  const std::string name = name_of(what, path);
-  refuse_raw(path, name);
-  return decode(path, what, name, [&](const codecs::ImageHeader& header) { check_header(header, name); });
+  return read_pixels(path, what, codecs::Alpha::dropped);
 }
 
 Image<float> read_intensity(const std::filesystem::path& path, const std::string& what) {
@@ -112,7 +129,7 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
   refuse_raw(path, name);
   try {
     // The header check runs before any pixel is decoded; throwing from it skips the decoding.
-    decode(path, what, name, [&](const codecs::ImageHeader& header) {
+    decode(path, what, name, codecs::Alpha::dropped, [&](const codecs::ImageHeader& header) {
       check_header(header, name);
       throw Found{header.size};
     });
@@ -123,7 +140,8 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
 }
 
 Mask read_mask(const std::filesystem::path& path, const std::string& what) {
-  RawImage image = read_image(path, what);
+  RawImage image = read_pixels(path, what, codecs::Alpha::kept);
+  image.pixels = over_black(std::move(image.pixels));
   // NaN, with which floating-point rasters mark pixels without data, is no object.
   for (float& value : image.pixels) value = std::isnan(value) ? 0 : value;
   const auto channels = static_cast<std::size_t>(image.pixels.channels());

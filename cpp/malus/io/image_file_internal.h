@@ -36,10 +36,10 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what 
 /// read_image_size refuse such files, because their bytes may look like a preview's TIFF.
 bool is_raw_name(const std::filesystem::path& path);
 
-/// Mask from an image: 255 where any channel is neither zero nor NaN, else 0. In an image of more than 16 values, such
-/// as a JPEG, everything up to a tenth of the largest value counts as zero. Throws an input error if all pixels are
-/// zero, or if the image looks like a photograph: more than 16 values, and more than 5 % of the pixels between black
-/// and white.
+/// Mask from an image: 255 where any channel is neither zero nor NaN, else 0; what is transparent counts as black. In
+/// an image of more than 16 values, such as a JPEG, everything up to a tenth of the largest value counts as zero.
+/// Throws an input error if all pixels are zero, or if the image looks like a photograph: more than 16 values, and more
+/// than 5 % of the pixels between black and white.
 Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
 
 /// Values of an 8-bit one-channel image, unchanged (label images).

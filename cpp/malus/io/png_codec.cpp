@@ -21,9 +21,9 @@ struct Reader {
   png_infop info = nullptr;
   std::string error;
 
+  Alpha alpha = Alpha::dropped;
   ImageHeader header;
   int bits = 8;
-  int channels_read = 1;
   std::size_t row_bytes = 0;
   LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
@@ -60,14 +60,17 @@ bool read_header(Reader& reader) {
   if (color == PNG_COLOR_TYPE_PALETTE) png_set_palette_to_rgb(reader.png);
   if (color == PNG_COLOR_TYPE_GRAY && depth < 8) png_set_expand_gray_1_2_4_to_8(reader.png);
   if (depth == 16) png_set_swap(reader.png);
-  png_set_strip_alpha(reader.png);
+  if (reader.alpha == Alpha::dropped) {
+    png_set_strip_alpha(reader.png);
+  } else if (png_get_valid(reader.png, reader.info, PNG_INFO_tRNS) != 0) {
+    png_set_tRNS_to_alpha(reader.png);
+  }
   png_set_interlace_handling(reader.png);
   png_read_update_info(reader.png, reader.info);
   reader.header.size = {static_cast<int>(png_get_image_width(reader.png, reader.info)),
                         static_cast<int>(png_get_image_height(reader.png, reader.info))};
   reader.bits = depth == 16 ? 16 : 8;
-  reader.channels_read = png_get_channels(reader.png, reader.info);
-  reader.header.channels = reader.channels_read;
+  reader.header.channels = png_get_channels(reader.png, reader.info);
   reader.row_bytes = png_get_rowbytes(reader.png, reader.info);
   return true;
 }
@@ -134,9 +137,10 @@ void to_float(const png_byte* samples, Image<float>& pixels) {
 
 }  // namespace
 
-RawImage decode_png(std::string_view bytes, const HeaderCheck& check) {
+RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
   Reader reader;
   reader.bytes = bytes;
+  reader.alpha = alpha;
   reader.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, &reader, on_read_error, on_warning);
   if (reader.png) reader.info = png_create_info_struct(reader.png);
   if (!reader.info) throw std::bad_alloc();

@@ -119,6 +119,7 @@ struct Layout {
   std::uint16_t samples = 1, bits = 1, format = SAMPLEFORMAT_UINT, photometric = 0, compression = COMPRESSION_NONE;
   bool tiled = false, planar = false;
   int channels = 1;
+  bool alpha = false;  ///< the last of the channels
 
   std::size_t sample_bytes() const { return bits / 8; }
 };
@@ -129,7 +130,15 @@ T field(TIFF* tiff, ttag_t tag, T fallback) {
   return TIFFGetFieldDefaulted(tiff, tag, &value) ? value : fallback;
 }
 
-Layout read_layout(TIFF* tiff) {
+/// Whether the samples that follow those of the color begin with an opacity; other programs also keep selections there.
+bool has_alpha(TIFF* tiff) {
+  std::uint16_t count = 0;
+  std::uint16_t* kinds = nullptr;
+  return TIFFGetField(tiff, TIFFTAG_EXTRASAMPLES, &count, &kinds) != 0 && count > 0 &&
+         (kinds[0] == EXTRASAMPLE_ASSOCALPHA || kinds[0] == EXTRASAMPLE_UNASSALPHA);
+}
+
+Layout read_layout(TIFF* tiff, Alpha alpha) {
   Layout layout;
   const auto width = field<std::uint32_t>(tiff, TIFFTAG_IMAGEWIDTH, 0);
   const auto height = field<std::uint32_t>(tiff, TIFFTAG_IMAGELENGTH, 0);
@@ -167,6 +176,8 @@ Layout read_layout(TIFF* tiff) {
     throw std::runtime_error("has " + std::to_string(layout.samples) + " samples a pixel, expected 1 to 4");
   }
   layout.channels = layout.samples >= 3 ? 3 : 1;
+  layout.alpha = alpha == Alpha::kept && layout.samples > layout.channels && has_alpha(tiff);
+  if (layout.alpha) ++layout.channels;
 
   if (layout.tiled) {
     layout.block_width = field<std::uint32_t>(tiff, TIFFTAG_TILEWIDTH, 0);
@@ -303,14 +314,14 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
 
 }  // namespace
 
-RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
+RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
   Errors errors;
   const Options options(errors);
   Source source{.bytes = bytes};
   const Handle tiff(TIFFClientOpenExt("image", "rm", &source, source_read, source_write, source_seek, keep_open,
                                       source_size, nullptr, nullptr, options.options));
   if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
-  const Layout layout = read_layout(tiff.get());
+  const Layout layout = read_layout(tiff.get(), alpha);
   check_block(layout);
   check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
 
@@ -320,7 +331,10 @@ RawImage decode_tiff(std::string_view bytes, const HeaderCheck& check) {
   read_blocks(tiff.get(), layout, errors, image.pixels);
   if (layout.photometric == PHOTOMETRIC_MINISWHITE) {
     const auto white = static_cast<float>(image.full_scale_dn);
-    for (float& value : image.pixels) value = white - value;
+    const auto channels = static_cast<std::size_t>(layout.channels), colors = channels - (layout.alpha ? 1 : 0);
+    for (std::size_t i = 0; i < image.pixels.count(); ++i) {
+      if (i % channels < colors) image.pixels[i] = white - image.pixels[i];
+    }
   }
   return image;
 }

@@ -50,27 +50,30 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
     context.progress("check", static_cast<double>(k) / static_cast<double>(input.names.size()), input.names[k]);
     RawImage image = input.load(k);
     require_size(image.pixels, plan.size, input.names[k]);
-    const double white = file.polarized.white_level.value_or(image.full_scale_dn);
-    const Levels levels = levels_of(image, file.polarized, options.saturation, input.names[k]);
+    const Levels levels = levels_of(image, file.polarized, curve, options.saturation, input.names[k]);
+    const std::string doubt = doubt_of_white_level(image, levels, input.names[k]);
     const int channels = image.pixels.channels();
     double clipped = 0, brightest = 0;
     for (std::size_t i = 0; i < object.count(); ++i) {
       if (object[i] == 0) continue;
       const float* const pixel = image.pixels.data() + i * static_cast<std::size_t>(channels);
       const double value = *std::max_element(pixel, pixel + channels);
-      clipped += value >= 0.995 * white;
-      brightest = std::max(brightest, value);
+      brightest = std::max(brightest, (value - levels.black_dn) / (levels.white_dn - levels.black_dn));
     }
+    const LinearImage linear =
+        linearize(std::move(image), curve, levels, channel_weights(file.polarized), input.names[k], context);
+    for (std::size_t i = 0; i < object.count(); ++i) clipped += object[i] != 0 && linear.saturated[i] != 0;
     const double share = clipped / plan.object_pixels;
     if (share > 0.01) {
       plan.warnings.push_back(input.names[k] + ": " +
                               with_count(std::round(100 * share), "% of the object's pixels are saturated"));
     }
-    if (brightest < 0.2 * white) {
+    if (!doubt.empty()) {
+      plan.warnings.push_back(doubt);
+    } else if (brightest < 0.2) {
       plan.warnings.push_back(input.names[k] +
                               ": the object's brightest pixel is below 20 % of the white level; is white_level right?");
     }
-    linearize(std::move(image), curve, levels, channel_weights(file.polarized), input.names[k], context);
   }
 }
 
@@ -186,7 +189,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = pixels_on(object);
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
-  if (const auto& labels = station.file.optics.label_image; labels) require_labels(read_labels(*labels), plan.size);
+  if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     if (!station.file.camera) {

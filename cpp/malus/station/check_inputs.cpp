@@ -1,6 +1,9 @@
 #include <Eigen/Geometry>
 #include <cmath>
+#include <filesystem>
+#include <optional>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
 
@@ -19,8 +22,21 @@ Mask captured_object(const Station& station, Size size) {
   }
   if (!station.file.polarized.mask) return Mask(size, 1, 255);
   Mask mask = read_mask(*station.file.polarized.mask);
-  require_size(mask, size, station.file.polarized.mask->string());
+  require_size_of_images(mask, size, "mask " + station.file.polarized.mask->string());
   return mask;
+}
+
+Image<std::uint8_t> captured_labels(const StationFile& station) {
+  if (!station.optics.label_image) return {};
+  const std::filesystem::path& path = *station.optics.label_image;
+  const std::optional<LensCamera> lens = station.known_lens();
+  const bool is_of_run =
+      path.filename() == "label.png" && std::filesystem::exists(path.parent_path().parent_path() / "manifest.json");
+  if (is_of_run && lens && lens->has_distortion()) {
+    throw input_error("[optics].reflection = " + path.string() +
+                      " is of a run, in the view without lens distortion; expected labels of the images as taken");
+  }
+  return read_labels(path);
 }
 
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image) {

@@ -18,6 +18,10 @@ Size captured_size(const Station& station);
 /// Mask of the object in the images as captured; without a mask file, all pixels.
 Mask captured_object(const Station& station, Size size);
 
+/// Label image of the images as captured; empty without one. Input error for the label.png of a run if the lens has
+/// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
+Image<std::uint8_t> captured_labels(const StationFile& station);
+
 /// A point of the prior projected into the station's camera.
 struct SeenPoint {
   Eigen::Vector3d in_cam;

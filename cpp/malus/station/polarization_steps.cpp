@@ -250,8 +250,9 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   if (as_read) response = response_finding(*as_read, response);
   of_images.findings.push_back(response);
   for (Finding finding : job.station.file_findings) {
-    // The measured response is stronger evidence than metadata that a program wrote into a file.
-    if (says_linear(response)) {
+    // The measured response is stronger evidence than metadata that a program wrote into a file. It does not tell one
+    // display's curve from another's.
+    if (finding.check == "encoding" && says_linear(response)) {
       finding.severity = Severity::note;
       finding.message += "; the light says that this is right";
       finding.suggestion.clear();

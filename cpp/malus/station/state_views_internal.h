@@ -6,6 +6,7 @@
 #include "malus/core/camera.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/polarization/polarization_state.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/station.h"
 
 namespace malus {
@@ -21,7 +22,7 @@ inline LightEstimate light_on_surface(const PolarizationState& state, const Imag
 /// The station's label image in the undistorted view, empty without one. Like the mask it is of the images as captured.
 inline Image<std::uint8_t> labels_in_view(const StationFile& station, const Context& context) {
   if (!station.optics.label_image) return {};
-  return undistorted_mask(read_labels(*station.optics.label_image), station.known_lens(), context);
+  return undistorted_mask(captured_labels(station), station.known_lens(), context);
 }
 
 /// The object in the undistorted view: where the polarization state has pixels at all.

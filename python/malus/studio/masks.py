@@ -46,12 +46,16 @@ def decode(content: bytes, size: tuple[int, int]) -> Bytes:
         raise InputError(f"the mask is no PNG image ({error})") from None
 
 
-def read(path: Path) -> bytes:
-    """A mask or label image as PNG for the page."""
+def read(path: Path, kind: str = "mask") -> bytes:
+    """A mask (255 or 0, as a run reads it) or a label image (kind "labels", unchanged) as PNG for the page."""
+    if kind != "labels":
+        try:
+            return encode(_core.read_mask(str(path)), "PNG")
+        except InputError:
+            pass  # Black everywhere, or a photograph: shown as it is, so that it can be painted anew.
     pixels, full_scale = _core.read_image_dn(str(path))
-    # Any channel that is not zero is the object, as for a run: palettes of annotation programs have green and blue objects.
     gray = pixels if pixels.ndim == 2 else pixels.max(axis=2)
-    # Labels are small numbers in 8 bits; images of more than 8 bits are masks, whose pixels are set or not.
+    # Labels are small numbers in 8 bits; of more bits, pixels are set or not.
     values = gray if full_scale <= 255 else np.where(gray != 0, 255, 0)
     return encode(values.astype(np.uint8), "PNG")
 

@@ -132,6 +132,8 @@ TEST(Capture, mismatched_inputs_are_named) {
   CaptureInput input = aligned_input();
   input.mask = Mask({10, 10}, 1, 255);
   expect_refused(input, "10 x 10");
+  input.mask = Mask({180, 240}, 1, 255);
+  expect_refused(input, "mask is 180 x 240", "expected 240 x 180", "EXIF orientation is ignored");
   input = aligned_input();
   input.lens = LensCamera{LensModel::pinhole, {100, 100}, {80, 80, 50, 50}};
   expect_refused(input, "100 x 100");
@@ -189,6 +191,29 @@ TEST(Capture, images_that_cannot_be_of_one_series_are_named) {
   for (int v = 0; v < stone_size.height; ++v)
     for (int u = 0; u < stone_size.width; ++u) images[4](u, v) = right[4]((u + 97) % stone_size.width, v);
   expect_refused(images, ErrorCode::data, "image 4.tif cannot be registered to image 0.tif");
+}
+
+TEST(Capture, a_white_level_that_is_missing_is_asked_for) {
+  CaptureInput input = aligned_input();
+  input.load = [](std::size_t k) {
+    Image<float> numbers = aligned_scene()[k];
+    for (float& value : numbers) value = std::round(4095 * std::min(value, 1.F));
+    for (int u = 0; u < 20; ++u) numbers(u, 0) = 4095;
+    return RawImage{std::move(numbers), 16, false, 65535};
+  };
+  std::vector<std::string> warnings;
+  Context context;
+  context.on_log = [&](LogLevel level, const std::string& text) {
+    if (level == LogLevel::warning) warnings.push_back(text);
+  };
+  CaptureOptions options;
+  options.mode = RegistrationMode::off;
+  capture_stack(input, options, context);
+  ASSERT_EQ(warnings.size(), 1u);
+  expect_contains(warnings[0], "image 0.tif: reaches 4095, the largest number of 12 bits");
+  input.polarized.white_level = 4095;
+  EXPECT_NE(capture_stack(input, options, context).saturated(5, 0), 0);
+  EXPECT_EQ(warnings.size(), 1u);
 }
 
 TEST(Capture, noise_free_computed_images_may_be_identical) {
@@ -267,6 +292,23 @@ TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {
   for (const double encoded : {0.2, 0.5, 0.8, 1.0}) {
     const double step = curve.slope(encoded) / 255;
     EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.65) << encoded;
+  }
+}
+
+TEST(Noise, of_smooth_encoded_images_is_at_least_that_of_their_quantization) {
+  const ResponseCurve curve = response_curve("srgb", "response");
+  LinearImage ramp{Image<float>({400, 300}), Mask({400, 300})};
+  for (int v = 0; v < 300; ++v)
+    for (int u = 0; u < 400; ++u)
+      ramp.intensity(u, v) = static_cast<float>(curve.linearize(std::round(255 * (0.1 + 0.002 * u)) / 255));
+  PolarizedSpec spec;
+  for (const int frames : {1, 4}) {
+    spec.frames_averaged = frames;
+    const NoiseModel noise = noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt, ramp);
+    for (const double encoded : {0.5, 0.8, 1.0}) {
+      const double step = curve.slope(encoded) / 255;
+      EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.65) << encoded;
+    }
   }
 }
 

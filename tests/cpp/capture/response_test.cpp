@@ -28,8 +28,9 @@ RawImage raw_8bit(int channels, const std::vector<float>& dn) {
 }
 
 LinearImage linear_of(const RawImage& raw, const PolarizedSpec& spec) {
-  return linearize(raw, response_curve(spec.response, "response"), levels_of(raw, spec, 0.995, "raw.png"),
-                   channel_weights(spec), "raw.png", Context{});
+  const ResponseCurve curve = response_curve(spec.response, "response");
+  return linearize(raw, curve, levels_of(raw, spec, curve, 0.995, "raw.png"), channel_weights(spec), "raw.png",
+                   Context{});
 }
 
 TEST(Response, srgb_is_the_standard_curve) {
@@ -63,6 +64,36 @@ TEST(Response, table_in_dn_is_interpolated_and_scaled) {
   const LinearImage linear =
       linearize(raw_8bit(1, {50, 200}), curve, Levels{0, 255, 1.0 / 255, 0.995}, channel_weights(spec), "x", Context{});
   EXPECT_FLOAT_EQ(linear.intensity(0, 0), 5.0f / 40);
+}
+
+TEST(Response, the_last_number_of_a_table_is_the_white_level) {
+  PolarizedSpec spec;
+  spec.response = table_file("0 0\n100 10\n200 40\n").string();
+  const RawImage raw = raw_8bit(1, {150, 200, 255});
+  const LinearImage linear = linear_of(raw, spec);
+  EXPECT_EQ(linear.saturated(0, 0), 0);
+  EXPECT_EQ(linear.saturated(1, 0), 255) << "all numbers from 200 on have one intensity";
+  EXPECT_EQ(linear.saturated(2, 0), 255);
+  spec.white_level = 255;
+  EXPECT_EQ(linear_of(raw, spec).saturated(1, 0), 0) << "the station file knows better";
+}
+
+TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
+  RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16, false, 65535};
+  raw.pixels(0, 0) = 1200;
+  const auto doubt = [&](const PolarizedSpec& spec) {
+    return doubt_of_white_level(raw, levels_of(raw, spec, {}, 0.995, "raw.tif"), "raw.tif");
+  };
+  expect_contains(doubt({}), "raw.tif");
+  expect_contains(doubt({}), "white_level = 4095");
+  PolarizedSpec stated;
+  stated.white_level = 4095;
+  EXPECT_EQ(doubt(stated), "");
+  raw.pixels(0, 0) = 4096;
+  EXPECT_EQ(doubt({}), "");
+  raw.pixels.fill(1200);
+  raw.pixels(0, 0) = 4095;
+  EXPECT_EQ(doubt({}), "") << "a single pixel";
 }
 
 TEST(Response, every_pixel_value_of_a_file_is_mapped_by_the_curve) {

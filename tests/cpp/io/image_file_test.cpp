@@ -281,6 +281,41 @@ TEST(ImageFile, DistinguishesMasksFromPhotographs) {
       "looks like a photograph");
 }
 
+TEST(ImageFile, TransparentPixelsAreOutsideOfAMask) {
+  const TemporaryFolder folder;
+  const auto expect_object_at_1 = [&](const char* name) {
+    const Mask mask = read_mask(folder / name);
+    EXPECT_EQ(mask(0, 0), 0) << name << ": white, but transparent";
+    EXPECT_EQ(mask(1, 0), 255) << name;
+    EXPECT_EQ(mask(2, 0), 0) << name << ": black";
+    EXPECT_EQ(read_image(folder / name).pixels(0, 0), 255) << name << ": an image's alpha channel is dropped";
+  };
+  cv::Mat colored(1, 3, CV_8UC4, cv::Scalar::all(255));
+  colored.at<cv::Vec4b>(0, 0)[3] = 0;
+  colored.at<cv::Vec4b>(0, 2) = cv::Vec4b(0, 0, 0, 255);
+  cv::imwrite((folder / "mask.png").string(), colored);
+  expect_object_at_1("mask.png");
+
+  for (const auto kind : {std::uint16_t{EXTRASAMPLE_UNASSALPHA}, std::uint16_t{EXTRASAMPLE_UNSPECIFIED}}) {
+    TIFF* tiff = TIFFOpen((folder / "mask.tif").string().c_str(), "w");
+    TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, 3);
+    TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, 1);
+    TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 2);
+    TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+    TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+    TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
+    TIFFSetField(tiff, TIFFTAG_EXTRASAMPLES, 1, &kind);
+    std::uint8_t row[] = {255, 0, 255, 255, 0, 255};
+    TIFFWriteScanline(tiff, row, 0, 0);
+    TIFFClose(tiff);
+    if (kind == EXTRASAMPLE_UNASSALPHA) {
+      expect_object_at_1("mask.tif");
+    } else {
+      EXPECT_EQ(read_mask(folder / "mask.tif")(0, 0), 255) << "another channel is not an opacity";
+    }
+  }
+}
+
 TEST(ImageFile, PixelsWithoutDataAreOutsideOfAMask) {
   const TemporaryFolder folder;
   Image<float> raster({3, 1}, 1, 1.0F);

@@ -111,6 +111,42 @@ TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
   station.file.optics.label_image = folder / "labels.png";
   expect_error(
       ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
+
+  std::filesystem::create_directory(folder / "polarization");
+  station.file.optics.label_image = folder / "polarization/label.png";
+  write_png(*station.file.optics.label_image, Image<std::uint8_t>({40, 30}, 1, std::uint8_t{1}));
+  folder.write("manifest.json", "{}");
+  check_station(station, {}, {});
+  station.file.camera->lens = {LensModel::opencv, {40, 30}, {200, 200, 19.5, 14.5, -0.25, 0, 0, 0}};
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label.png is of a run", "images as taken");
+}
+
+TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
+  const TemporaryFolder folder;
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  station.images.clear();
+  const auto warnings = [&](const char* name) {
+    station.file.polarized.images = {folder / name};
+    std::string all;
+    for (const std::string& warning : check_station(station, {}, {}).warnings) all += warning + "\n";
+    return all;
+  };
+  Image<std::uint16_t> numbers({40, 30}, 1, std::uint16_t{3000});
+  std::fill_n(numbers.row(0), 120, std::uint16_t{4095});
+  write_png16(folder / "12.png", numbers);
+  expect_contains(warnings("12.png"), "is white_level = 4095 right?");
+  station.file.polarized.white_level = 4095;
+  expect_contains(warnings("12.png"), "10 % of the object's pixels are saturated");
+
+  station.file.polarized.white_level.reset();
+  Image<std::uint8_t> reddish({40, 30}, 3, std::uint8_t{120});
+  for (std::size_t i = 0; i < reddish.count(); i += 3) reddish[i] = 255;
+  write_png(folder / "red.png", reddish);
+  expect_contains(warnings("red.png"), "100 % of the object's pixels are saturated");
+  station.file.polarized.channel = ColorChannel::green;
+  EXPECT_EQ(warnings("red.png").find("saturated"), std::string::npos) << "red is not used";
 }
 
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {

@@ -153,7 +153,7 @@ async function loadLayer() {
   if (kept && fits(kept)) return kept;
   const loaded = new Layer(view.size.x, view.size.y, what.value);
   loaded.known = digestOf(painting());  // The state of the file that the layer starts from. Saving overwrites no other state.
-  if (loaded.known) await loaded.load(await ask('mask', { path: painting().path }), { remember: false });
+  if (loaded.known) await loaded.load(await ask('mask', { path: painting().path, kind: what.value }), { remember: false });
   return loaded;
 }
 
