@@ -32,8 +32,11 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// If more than this share of a cloud's points faces away, the error message names the normals as the cause.
+/// If more than this share of a cloud's points on the object faces away, the error message names the normals as the
+/// cause.
 constexpr double mostly = 0.7;
+constexpr const char* normals_inwards =
+    "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
 
 void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options) {
   validate_fields(options, "prior");
@@ -48,6 +51,10 @@ void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const P
 
 void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   const PointCensus& census = visible.census;
+  if (census.reversed) {
+    throw data_error("prior cloud: " + std::to_string(census.facing_away) + " of " + std::to_string(census.total) +
+                     " points face away, but lie in front of those that face the camera: " + normals_inwards);
+  }
   if (visible.points.size() >= static_cast<std::size_t>(options.min_points)) return;
   std::ostringstream message;
   message << "prior cloud: " << census.used << " of " << census.total << " points are visible on the object";
@@ -57,8 +64,9 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
           << census.outside << " outside the image, " << census.off_object << " outside the mask, "
           << census.facing_away << " facing away, " << census.hidden << " hidden, " << census.outliers
           << " outliers): ";
-  if (census.facing_away > mostly * static_cast<double>(census.total)) {
-    message << "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
+  const std::size_t on_object = census.facing_away + census.hidden + census.outliers + census.used;
+  if (static_cast<double>(census.facing_away) > mostly * static_cast<double>(on_object)) {
+    message << normals_inwards;
   } else {
     message << "check that cloud and camera pose are in one frame and unit";
   }

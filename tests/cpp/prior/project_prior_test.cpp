@@ -293,6 +293,25 @@ TEST(PriorOfCloud, ReportsNormalsThatPointInwards) {
                        (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
   expect_error(
       ErrorCode::data, [&] { project(cloud); }, "500 facing away", "normals point away from the camera");
+  // Points that the station does not see say nothing about the normals.
+  const Eigen::Vector3d beside = test_pose().world_from_cam(distance_mm * test_camera().ray(1000, 45));
+  cloud.points.resize(2000, beside);
+  cloud.normals.resize(2000, cloud.normals.front());
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "1500 outside the image", "normals point away from the camera");
+}
+
+TEST(PriorOfCloud, ReportsNormalsThatPointInwardsOfAnObjectWithABack) {
+  const Eigen::Vector3f towards = (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, -1)).cast<float>();
+  PointCloud cloud = sample(plane_depth, 2000, 0.1);
+  cloud.normals.assign(cloud.points.size(), -towards);
+  PointCloud back = sample([](double u, double v) { return plane_depth(u, v) + 60 * gsd_mm; }, 2000, 0.1, 5);
+  back.normals.assign(back.points.size(), towards);
+  add(cloud, back);
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "2000 of 4000", "face away", "normals point away from the camera");
+  for (Eigen::Vector3f& normal : cloud.normals) normal = -normal;
+  EXPECT_LT(rms_gsd(project(cloud).depth, plane_depth), 0.1);
 }
 
 TEST(PriorOfCloud, IsNaNOutsideTheMaskOnly) {
