@@ -24,6 +24,7 @@
 #include "malus/prior/choose_smoothing_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/rounded_points_internal.h"
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/prior/smoothing_spline_internal.h"
 #include "malus/prior/visible_points_internal.h"
@@ -479,6 +480,7 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
+  warn_if_rounded(cloud, camera, pose, "prior cloud", context);
   VisiblePoints visible = visible_points(
       cloud, camera, pose, mask,
       {options.neighbors, options.outlier_tolerance, options.outlier_floor_gsd, options.max_slope_deg}, context);
@@ -518,6 +520,7 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
+  warn_if_rounded(mesh.vertices, camera, pose, "prior mesh", context);
   return with_noise(
       prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
 }

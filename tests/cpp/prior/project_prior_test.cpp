@@ -11,6 +11,7 @@
 #include "malus/core/error.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/rounded_points_internal.h"
 #include "thrown_error.h"
 
 namespace malus {
@@ -257,6 +258,28 @@ TEST(PriorOfCloud, UsesAStatedSigmaAndWarnsIfThePointsContradictIt) {
   project(cloud, options, full_mask(), context);
   expect_contains(warning, "prior cloud: its points scatter by 0.");
   expect_contains(warning, "sigma states 0.05");
+}
+
+TEST(PriorOfCloud, WarnsOfANationalGridInSinglePrecision) {
+  std::string warning;
+  Context context;
+  context.on_log = [&warning](LogLevel, const std::string& message) { warning += message; };
+  const auto said = [&](const Eigen::Vector3d& origin, bool single) {
+    PointCloud cloud = sample(plane_depth, 500, 0);
+    Pose pose = test_pose();
+    pose.translation -= pose.rotation * origin;
+    for (Eigen::Vector3d& point : cloud.points) {
+      point += origin;
+      if (single) point = point.cast<float>().cast<double>().eval();
+    }
+    warning.clear();
+    warn_if_rounded(cloud, test_camera(), pose, "prior cloud", context);
+    return warning;
+  };
+  const Eigen::Vector3d grid(4.3e7, 5.4e7, 90);
+  expect_contains(said(grid, true), "prior cloud: its coordinates are of single precision, in steps of 4 at 5.4e+07");
+  EXPECT_EQ(said(grid, false), "");
+  EXPECT_EQ(said(Eigen::Vector3d::Zero(), true), "");
 }
 
 TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
