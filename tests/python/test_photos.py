@@ -470,6 +470,20 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
 
 
+def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
+    # A camera that writes the focal length alone, neither the size of its pixels nor the equivalent on 35 mm film.
+    for name, focal_mm in (("a", 35.0), ("b", 35.0), ("c", 70.0)):
+        image = Image.new("L", (30, 20))
+        exif = image.getexif()
+        exif[0x0110] = "Camera"
+        exif.get_ifd(0x8769)[0x920A] = focal_mm
+        image.save(tmp_path / f"{name}.jpg", exif=exif)
+    photos = list_photos(tmp_path, [])
+    assert [photo.focal_px for photo in photos] == [None] * 3
+    groups = photo_cameras.group_by_camera(photos, None)
+    assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+
+
 def test_copies_are_stretched_to_the_full_range() -> None:
     values = np.linspace(0.1, 0.3, 10000, dtype=np.float32).reshape(100, 100)
     values[0, 0] = np.nan
