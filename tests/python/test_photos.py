@@ -26,6 +26,7 @@ from malus import _core
 from malus._files import sha256_of
 from malus.photogrammetry import database, photo_cameras, scale, station_pose
 from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
@@ -468,6 +469,23 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     photo = list_photos(tmp_path, [])[0]
     assert photo.maker == "Camera"
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
+
+
+def test_marks_lie_in_their_photos() -> None:
+    photos = [Photo("a.jpg", Path("a.jpg"), 600, 400)]
+
+    def check(x: float, y: float, image: str = "a.jpg") -> None:
+        mark = {"image": image, "x": x, "y": y}
+        none: dict[str, object] = {"scale": [], "control": [], "path": "s.toml"}
+        require_marks_in_photos({**none, "scale": [{"a": [], "b": [mark]}]}, photos)
+        require_marks_in_photos({**none, "control": [{"name": "T1", "marks": [mark]}]}, photos)
+
+    check(-0.5, 399.5)
+    check(350, 560, "excluded.jpg")
+    with pytest.raises(package.InputError, match=r"s.toml: \[\[scale\]\] 1: .*x = 350, y = 560 .* 600 x 400 .*EXIF"):
+        check(350, 560)  # as in a viewer that turns the photo
+    with pytest.raises(package.InputError, match=r"x = 601, y = 3 lies outside of a.jpg, which has 600 x 400 pixels$"):
+        check(601, 3)
 
 
 def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
