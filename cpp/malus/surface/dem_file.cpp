@@ -1,4 +1,4 @@
-#include <cstdio>
+#include <charconv>
 
 #include "malus/io/geotiff_file_internal.h"
 #include "malus/surface/dem_file_internal.h"
@@ -6,9 +6,15 @@
 namespace malus {
 namespace {
 
+/// The numbers as the shortest texts that read back as the same: twelve digits are too few for a national grid.
 std::string text_of(const Eigen::Vector3d& vector) {
-  char text[96];
-  std::snprintf(text, sizeof text, "%.12g %.12g %.12g", vector.x(), vector.y(), vector.z());
+  std::string text;
+  for (const double value : vector) {
+    char digits[32];
+    const auto [end, error] = std::to_chars(digits, digits + sizeof digits, value);
+    if (!text.empty()) text += ' ';
+    text.append(digits, end);
+  }
   return text;
 }
 
