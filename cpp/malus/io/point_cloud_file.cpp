@@ -598,7 +598,7 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
 
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
   InputFile file(path, what);
-  if (!is_ply(path)) throw file.error("is not a PLY file");
+  if (!is_ply(path)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
   if (mesh.triangles.empty()) throw file.error("has no faces");
   return mesh;
