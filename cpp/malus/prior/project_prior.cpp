@@ -525,10 +525,16 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
       prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
 }
 
+void require_depth_map(const Image<float>& depth, Size size) {
+  require_size(depth, size, "prior depth map");
+  if (depth.channels() != 1)
+    throw input_error("prior depth map has " + std::to_string(depth.channels()) + " channels, expected 1");
+}
+
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
-  require_size(depth, camera.size, "prior depth map");
+  require_depth_map(depth, camera.size);
   return with_noise(prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context));
 }
 

@@ -650,6 +650,8 @@ TEST(PriorOfDepthMap, FillsHolesWithTheShapeItWasMeasuredAbout) {
 
 TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {
   expect_error(ErrorCode::input, [] { project(Image<float>({10, 10}, 1, 400.0F)); });
+  expect_error(
+      ErrorCode::input, [] { project(Image<float>(test_camera().size, 3, 400.0F)); }, "has 3 channels, expected 1");
   expect_error(ErrorCode::data, [] { project(Image<float>(test_camera().size)); });
 }
 
