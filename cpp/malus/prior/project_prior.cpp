@@ -68,6 +68,8 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   const std::size_t on_object = census.facing_away + census.hidden + census.outliers + census.used;
   if (static_cast<double>(census.facing_away) > mostly * static_cast<double>(on_object)) {
     message << normals_inwards;
+  } else if (2 * census.used > census.total) {
+    message << "the cloud has too few points";
   } else {
     message << "check that cloud and camera pose are in one frame and unit";
   }

@@ -412,6 +412,8 @@ TEST(PriorOfCloud, RejectsUnusableInput) {
   options.neighbors = 1;
   expect_error(
       ErrorCode::input, [&] { project(cloud, options); }, "prior.neighbors = 1");
+  expect_error(
+      ErrorCode::data, [] { project(sample(plane_depth, 20, 0)); }, "20 of 20 points are visible", "too few points");
   Pose pose = test_pose();
   pose.translation.x() = std::numeric_limits<double>::infinity();
   expect_error(ErrorCode::input, [&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); });
