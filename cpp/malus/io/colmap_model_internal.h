@@ -60,8 +60,8 @@ struct ColmapModel {
 enum class ColmapParts { cameras_and_images, everything };
 
 /// Reads cameras, images and points3D from a folder, binary (preferred, as COLMAP does) or text, of COLMAP 3.x and 4.x
-/// (rigs and frames are not needed and ignored). Without points3D the model has none. Images of fisheye cameras are left
-/// out; points may still name them in their tracks.
+/// (rigs and frames are not needed and ignored). Without points3D the model has none. Images of fisheye cameras are
+/// left out; points may still name them in their tracks.
 /// Throws ErrorCode::input naming file and line or record: file missing or truncated, camera model not known, image of
 /// an unknown camera, numbers that are not finite, a rotation of length zero.
 ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts parts = ColmapParts::everything);
