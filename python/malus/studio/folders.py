@@ -165,8 +165,13 @@ def candidates(root: Root) -> dict[str, Any]:
         f"The folder {root.folder.name} holds more than {_SEARCHED} files: not all stations, models and surfaces below it are listed. "
         "Start Studio in a folder inside."
     )
-    found = {"priors": priors, "models": models, "images": images, "stations": stations}
-    return {**found, "note": None if complete else note}
+    return {
+        "priors": priors,
+        "models": models,
+        "images": images,
+        "stations": stations,
+        "note": None if complete else note,
+    }
 
 
 def _kind_of_prior(path: Path) -> str | None:
