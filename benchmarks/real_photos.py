@@ -78,7 +78,7 @@ def main() -> None:
     k = given[arguments.station].calibration
     lens = {"model": "PINHOLE", "width": width, "height": height, "params": [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]}
     description = {
-        "photos": {"folder": str(arguments.folder), "exclude": [arguments.station], "camera": lens},
+        "photos": {"folder": str(arguments.folder), "exclude": [arguments.station], "masks": None, "camera": lens},
         "camera": lens,
         "scale": [],
         "control": [],

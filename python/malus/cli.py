@@ -332,7 +332,7 @@ def _add_import(commands: _Commands) -> None:
     )
     start.add_argument("--label", help="name of the polarized view's camera in that project")
     start.add_argument("--cloud", type=Path, metavar="FILE", help="cloud in the same frame, for [prior]")
-    start.add_argument("--unit", default="mm", help="unit of camera and cloud; default: mm")
+    start.add_argument("--unit", help="unit of camera and cloud; default: m if cameras.xml says so, else mm")
 
 
 def _add_many_stations(add: _Add) -> None:

@@ -94,19 +94,19 @@ def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     points, normals = [], []
     try:
         file = library.E57(str(path))
-    except library.libe57.E57Exception as error:
+        try:
+            for index in range(file.scan_count):
+                header = file.get_header(index)
+                scan = file.read_scan(index, ignore_missing_fields=True)
+                points.append(np.stack([scan[name] for name in ("cartesianX", "cartesianY", "cartesianZ")], axis=1))
+                if set(names) <= set(header.point_fields):
+                    raw = file.read_scan_raw(index)
+                    rotation = header.rotation_matrix if header.has_pose() else np.eye(3)
+                    normals.append(np.stack([raw[name] for name in names], axis=1) @ rotation.T)
+        finally:
+            file.close()
+    except library.libe57.E57Exception as error:  # also of a damaged page among the points
         raise ValueError(str(error).splitlines()[0]) from None
-    try:
-        for index in range(file.scan_count):
-            header = file.get_header(index)
-            scan = file.read_scan(index, ignore_missing_fields=True)
-            points.append(np.stack([scan[name] for name in ("cartesianX", "cartesianY", "cartesianZ")], axis=1))
-            if set(names) <= set(header.point_fields):
-                raw = file.read_scan_raw(index)
-                rotation = header.rotation_matrix if header.has_pose() else np.eye(3)
-                normals.append(np.stack([raw[name] for name in names], axis=1) @ rotation.T)
-    finally:
-        file.close()
     cloud = np.concatenate(points) if points else np.empty((0, 3))
     complete = len(normals) == len(points) and sum(map(len, normals)) == len(cloud)
     return (

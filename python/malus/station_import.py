@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._files import read_regular, require_utf8, resolved, write_text
 from malus.errors import InputError
-from malus.photogrammetry.metashape import read_metashape
+from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
 from malus.raw import is_raw
 from malus.units import METERS
 
@@ -50,7 +50,7 @@ def import_station(
     metashape: str | Path | None = None,
     label: str | None = None,
     cloud: str | Path | None = None,
-    unit: str = "mm",
+    unit: str | None = None,
 ) -> Path:
     """Write a station file for the images of a folder, and return its path.
 
@@ -70,9 +70,9 @@ def import_station(
 
     `mosaic` and `colors` describe a polarization camera whose only image is in the folder. A file mask.png becomes the mask.
     `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned, too; `label` is the
-    label of that view's camera, whose lens and pose become [camera]. `cloud` is the project's cloud in the same frame and
-    becomes [prior]; `unit` is the unit of both. Tables that are not given must be filled in by hand. Raises malus.InputError; an
-    existing file is not replaced.
+    label of that view's camera, in whichever chunk, whose lens and pose become [camera]. `cloud` is the project's cloud in the same
+    frame and becomes [prior]; `unit` is the unit of both, by default meters if cameras.xml says so, else millimeters. Tables that are
+    not given must be filled in by hand. Raises malus.InputError; an existing file is not replaced.
     """
     folder, output = Path(folder), Path(output)
     if not folder.is_dir():
@@ -83,7 +83,7 @@ def import_station(
         raise InputError(
             "--metashape and --label go together: the project's cameras, and which one of them is the station's"
         )
-    if unit not in METERS:
+    if unit is not None and unit not in METERS:
         raise InputError(f"--unit {unit}, expected one of {', '.join(METERS)}")
     if cloud is not None and not Path(cloud).is_file():
         raise InputError(f"--cloud {cloud}: no such file")
@@ -98,7 +98,11 @@ def import_station(
         lines = _shot_lines(shots_of(folder, mask, table, pattern, angles), output)
     if mask is not None:
         lines.append(f"mask = {_text(_relative(mask, output))}")
-    camera = [] if metashape is None or label is None else _camera_lines(Path(metashape), label)
+    camera: list[str] = []
+    if metashape is not None and label is not None:
+        chunk, camera = _camera_lines(Path(metashape), label)
+        if unit is None and chunk.in_meters:
+            unit = "m"
     prior = [] if cloud is None else ["[prior]", f"cloud = {_text(_relative(Path(cloud), output))}", ""]
     missing = [part for part, lines_of in (("[camera]", camera), ("[prior]", prior)) if not lines_of]
     note = [f"# To come: {' and '.join(missing)}."] if missing else []
@@ -107,25 +111,33 @@ def import_station(
             "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
             "the polarization maps, and `malus height` a height from them."
         ]
-    head = ["[station]", f"name = {_text(resolved(folder).name)}", f"unit = {_text(unit)}", ""]
+    head = ["[station]", f"name = {_text(resolved(folder).name)}", f"unit = {_text(unit or 'mm')}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))
     return output
 
 
-def _camera_lines(cameras_xml: Path, label: str) -> list[str]:
-    cameras = read_metashape(cameras_xml)
-    names = [name for name in cameras if label in (name, Path(name).stem)]
-    if len(names) != 1:
-        some = ", ".join(sorted(cameras)[:10]) + (" …" if len(cameras) > 10 else "")
+def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[str]]:
+    """The chunk of the camera with this label, and the lines of [camera]."""
+    chunks = metashape_chunks(cameras_xml)
+    named = [(number, name) for number, chunk in enumerate(chunks) for name in chunk.cameras]
+    found = [(number, name) for number, name in named if label in (name, Path(name).stem)]
+    if len(found) != 1:
+        in_chunk = [f" of {chunk.label}" if len(chunks) > 1 else "" for chunk in chunks]
+        shown = sorted(f"{name}{in_chunk[number]}" for number, name in found or named)
+        some = ", ".join(shown[:10]) + (" …" if len(shown) > 10 else "")
+        one = "one in all chunks (export the cameras of a single chunk)" if len(chunks) > 1 else "one"
         raise InputError(
-            f"{cameras_xml}: {len(names)} aligned cameras {label!r}, expected one; there are {some or 'none'}"
+            f"{cameras_xml}: {len(found)} aligned cameras {label!r}, expected {one}; there are {some or 'none'}"
         )
-    camera = cameras[names[0]]
+    ((number, name),) = found
+    camera = read_metashape(cameras_xml, number, name)[name]
     rotation, translation = camera.pose()
     # COLMAP's convention in station files: the first pixel's center is at 0.5.
     params = [value + 0.5 if 2 <= index < 4 else value for index, value in enumerate(camera.params)]
-    return [
-        f"[camera]  # {names[0]} of {cameras_xml.name}",
+    note = "# geocentric: prior and control points must be, too; or export all of the project in local coordinates"
+    return chunks[number], [
+        *([note] if chunks[number].on_earth else []),
+        f"[camera]  # {name} of {cameras_xml.name}",
         f"model = {_text(camera.model)}",
         f"width = {camera.width}",
         f"height = {camera.height}",

@@ -220,6 +220,51 @@ def test_cameras_of_one_label_are_told_apart(folder: Path, tmp_path: Path) -> No
     assert malus_here(*arguments, "shot_0.png (camera 7)").code == 0
 
 
+def test_the_camera_is_found_in_whichever_chunk(folder: Path, tmp_path: Path) -> None:
+    image(folder / "shot_0.png")
+    chunk = METASHAPE[METASHAPE.index("<chunk>") : METASHAPE.index("</document>")]
+    named = chunk.replace("<chunk>", '<chunk label="vase">')
+    # Other chunks, and other cameras of this chunk, may have lenses that are not supported.
+    fisheye = '<sensors><sensor id="9" type="fisheye"><resolution width="9" height="9"/><calibration><f>3</f></calibration></sensor>'
+    named = named.replace("<sensors>", fisheye)
+    other = chunk.replace("<chunk>", '<chunk label="copy">').replace("shot_0", "c")
+    other = other.replace("<f>20</f>", "<f>21</f><b2>0.5</b2>")
+    project = tmp_path / "cameras.xml"
+    project.write_text(f"<document>{other}{named}</document>")
+    arguments = ("import", folder, "--angles", "0", "--metashape", project, "--label", "shot_0", "-o")
+    outcome = malus_here(*arguments, tmp_path / "station.toml")
+    assert outcome.code == 0, outcome.err
+    camera = tomllib.loads((tmp_path / "station.toml").read_text())["camera"]
+    assert camera["params"][0] == 20
+    project.write_text(f"<document>{other.replace('c.png', 'shot_0.png')}{named}</document>")
+    outcome = malus_here(*arguments, tmp_path / "other.toml")
+    assert outcome.code == 2
+    assert "2 aligned cameras 'shot_0', expected one in all chunks" in outcome.err
+    assert "shot_0.png of copy, shot_0.png of vase" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "unit", "geocentric"),
+    [
+        ('LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]', "m", False),
+        ('LOCAL_CS["Local Coordinates",LOCAL_DATUM["Local Datum",0],UNIT["foot",0.3048]]', "mm", False),
+        ('PROJCS["ETRS89 / UTM zone 32N",GEOGCS["ETRS89"]]', "m", True),
+        ("", "mm", False),
+    ],
+)
+def test_unit_and_frame_of_a_metashape_project(
+    folder: Path, tmp_path: Path, coordinates: str, unit: str, geocentric: bool
+) -> None:
+    image(folder / "shot_0.png")
+    project = tmp_path / "cameras.xml"
+    project.write_text(METASHAPE.replace("</chunk>", f"<reference>{coordinates}</reference></chunk>"))
+    for given in (None, "cm"):
+        station = tmp_path / f"{given}.toml"
+        malus.import_station(folder, station, angles=[0], metashape=project, label="shot_0", unit=given)
+        assert tomllib.loads(station.read_text())["station"]["unit"] == (given or unit)
+        assert ("# geocentric" in station.read_text()) == geocentric
+
+
 @pytest.mark.parametrize(
     ("files", "arguments", "message"),
     [

@@ -29,8 +29,9 @@ from malus._files import sha256_of
 from malus.photogrammetry import database, diagnosis, photo_cameras, scale, station_pose
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
+from malus.photogrammetry.photos import Photo, list_photos, photos_of, require_enough_masks, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -403,6 +404,9 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
         "a.jpg": masks / "a.jpg.png", "b.jpg": masks / "b.png", "c.jpg": masks / "c_mask.png", "e.jpg": None,
         "sub/d.jpg": masks / "sub/d.jpg.mask.png",
     }  # fmt: skip
+    require_enough_masks(photos_of(said))
+    with pytest.raises(package.DataError, match="masks: 3 of 4 photos have a mask, expected at least 4"):
+        require_enough_masks(photos_of({**said, "exclude": ["a.jpg"]}))
     _core.write_png(str(masks / "e.png"), np.full((8, 11), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 11 x 8 pixels, expected 12 x 8 as e.jpg"):
         photos_of(said)
@@ -541,6 +545,37 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     photo = list_photos(tmp_path, [])[0]
     assert photo.maker == "Camera"
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
+
+
+def test_marks_lie_in_their_photos() -> None:
+    photos = [Photo("a.jpg", Path("a.jpg"), 600, 400)]
+
+    def check(x: float, y: float, image: str = "a.jpg") -> None:
+        mark = {"image": image, "x": x, "y": y}
+        none: dict[str, object] = {"scale": [], "control": [], "path": "s.toml"}
+        require_marks_in_photos({**none, "scale": [{"a": [], "b": [mark]}]}, photos)
+        require_marks_in_photos({**none, "control": [{"name": "T1", "marks": [mark]}]}, photos)
+
+    check(-0.5, 399.5)
+    check(350, 560, "excluded.jpg")
+    with pytest.raises(package.InputError, match=r"s.toml: \[\[scale\]\] 1: .*x = 350, y = 560 .* 600 x 400 .*EXIF"):
+        check(350, 560)  # as in a viewer that turns the photo
+    with pytest.raises(package.InputError, match=r"x = 601, y = 3 lies outside of a.jpg, which has 600 x 400 pixels$"):
+        check(601, 3)
+
+
+def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
+    # A camera that writes the focal length alone, neither the size of its pixels nor the equivalent on 35 mm film.
+    for name, focal_mm in (("a", 35.0), ("b", 35.0), ("c", 70.0)):
+        image = Image.new("L", (30, 20))
+        exif = image.getexif()
+        exif[0x0110] = "Camera"
+        exif.get_ifd(0x8769)[0x920A] = focal_mm
+        image.save(tmp_path / f"{name}.jpg", exif=exif)
+    photos = list_photos(tmp_path, [])
+    assert [photo.focal_px for photo in photos] == [None] * 3
+    groups = photo_cameras.group_by_camera(photos, None)
+    assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
 
 
 def test_copies_are_stretched_to_the_full_range() -> None:

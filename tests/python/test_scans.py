@@ -94,6 +94,16 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str) -> None:
         read_scan(tmp_path / name, "mm")
 
 
+def test_a_damaged_page_of_an_e57_file_is_named(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    pytest.importorskip("pye57")
+    write_e57(tmp_path / "cloud.e57", cloud[0])
+    content = bytearray((tmp_path / "cloud.e57").read_bytes())
+    content[2048] ^= 0xFF  # among the points; every page of 1024 bytes has a checksum
+    (tmp_path / "cloud.e57").write_bytes(content)
+    with pytest.raises(malus.InputError, match=r"cloud\.e57: is not a cloud that can be read"):
+        read_scan(tmp_path / "cloud.e57", "mm")
+
+
 def test_las_headers_that_count_more_than_the_file_holds_are_refused(
     tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
 ) -> None:

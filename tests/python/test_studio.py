@@ -270,6 +270,22 @@ def test_a_manifest_of_something_else_is_no_result(tmp_path: Path) -> None:
         studio._run({"path": "page/station.toml", "work": "tiles", "fusion": "grid"})
 
 
+def test_a_folder_with_too_many_files_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from malus.studio.app import Studio
+
+    for name, text in (("a/1.png", ""), ("a/2.png", ""), ("b/station.toml", "[polarized]\n")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    studio = Studio(tmp_path, 1)
+    studio.runs.close()
+    folders = importlib.import_module("malus.studio.folders")
+    found = folders.candidates(studio.root)
+    assert found["stations"] == ["b/station.toml"] and found["note"] is None
+    monkeypatch.setattr(folders, "_SEARCHED", 4)
+    found = folders.candidates(studio.root)
+    assert found["stations"] == [] and "holds more than 4 files" in found["note"]
+
+
 def test_of_two_pages_that_create_a_station_at_once_one_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -742,6 +742,9 @@ def test_no_coordinates_are_taken_if_a_line_is_wrong(page: Any, station: Path) -
     typed.fill("A 7 8 9\nP1 1 2 3\nP2 4 5")
     page.get_by_role("button", name="Take these coordinates").click()
     page.locator("#message", has_text="P2 4 5").wait_for()
+    typed.fill("P1;104,21;88")  # not 104, 21 and 88
+    page.get_by_role("button", name="Take these coordinates").click()
+    page.locator("#message", has_text="P1;104,21;88").wait_for()
     typed.fill("")
     page.get_by_label("only to check").check()
     wait_for(page, lambda: "check = true" in station.read_text())

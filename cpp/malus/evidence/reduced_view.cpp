@@ -29,7 +29,12 @@ struct SplatPoint {
   float depth, brightness;
 };
 
-/// Points of the cloud in the view that face the camera.
+/// Whether the normal of any point is known: programs also write zeros.
+bool knows_normals(const PointCloud& cloud) {
+  return std::ranges::any_of(cloud.normals, [](const Eigen::Vector3f& normal) { return normal.squaredNorm() > 0; });
+}
+
+/// Points of the cloud in the view that do not face away.
 std::vector<SplatPoint> project(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {
   std::vector<SplatPoint> points;
   const std::size_t stride = cloud.points.size() / most_points + 1;
@@ -43,8 +48,8 @@ std::vector<SplatPoint> project(const PointCloud& cloud, const Pinhole& camera, 
     SplatPoint point{v * camera.size.width + u, Eigen::Vector3f::Zero(), static_cast<float>(x.z()), 0};
     if (!cloud.normals.empty()) {
       const Eigen::Vector3d normal = (cam_from_cloud.linear() * cloud.normals[i].cast<double>()).normalized();
-      if (!(normal.dot(x) < 0)) continue;
-      point.normal = normal.cast<float>();
+      if (normal.dot(x) > 0) continue;
+      if (normal.allFinite()) point.normal = normal.cast<float>();  // zero = not known
     }
     if (!cloud.colors.empty()) {
       const Rgb& color = cloud.colors[i];
@@ -144,9 +149,10 @@ PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen
   }
   view.median_depth = median_in_place(depths);
   if (!cloud.colors.empty()) view.brightness = Image<float>(camera.size, 1, none);
-  const double sigma = cloud.normals.empty() ? depth_sigma_px : splat_sigma_px;
+  const double sigma = knows_normals(cloud) ? splat_sigma_px : depth_sigma_px;
   smooth(sums, sigma);
   view.depth = Image<float>(camera.size, 1, none);
+  bool lacks_normals = false;
   for (std::size_t i = 0; i < view.seen.count(); ++i) {
     const float* const sum = sums.data() + 6 * i;
     if (!(sum[0] > least_density)) continue;
@@ -154,9 +160,16 @@ PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen
     view.depth[i] = sum[1] / sum[0];
     if (!cloud.colors.empty()) view.brightness[i] = sum[2] / sum[0];
     const Eigen::Vector3f normal = Eigen::Vector3f(sum[3], sum[4], sum[5]).normalized();
+    if (normal.isZero()) {
+      lacks_normals = true;
+      continue;
+    }
     for (int c = 0; c < 3; ++c) view.normals[3 * i + static_cast<std::size_t>(c)] = normal[c];
   }
-  if (cloud.normals.empty()) view.normals = normals_from_depth(view.depth, camera, {});
+  if (!lacks_normals) return view;
+  const Image<float> of_depth = normals_from_depth(view.depth, camera, {});
+  for (std::size_t i = 0; i < of_depth.count(); ++i)
+    if (std::isnan(view.normals[i])) view.normals[i] = of_depth[i];
   return view;
 }
 

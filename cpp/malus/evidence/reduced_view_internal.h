@@ -39,8 +39,8 @@ struct PriorView {
 Pinhole reduced_camera(const Pinhole& camera, int factor);
 
 /// View of a cloud through a reduced camera. Points hidden behind others are left out and, if the cloud has normals,
-/// points facing away. A cloud without normals gets those of its smoothed depths. At most two million evenly sampled
-/// points are used. cam_from_cloud: any affine map.
+/// points facing away. Where the cloud has no normals, or zeros, they are those of its smoothed depths. At most two
+/// million evenly sampled points are used. cam_from_cloud: any affine map.
 PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud);
 
 /// View of a depth map of the full size (z, NaN = none), which has no colors.

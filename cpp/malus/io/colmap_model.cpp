@@ -11,23 +11,35 @@
 namespace malus {
 namespace {
 
-/// COLMAP's numbers of its camera models; models without a counterpart here have a name for the message only.
+/// COLMAP's numbers of its camera models and of their parameters. Images of the models without a counterpart here are
+/// left out.
 struct ModelId {
   int id;
   std::string_view name;
+  int parameters;
+  bool supported = true;
 };
-constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE"},
-                                 {1, "PINHOLE"},
-                                 {2, "SIMPLE_RADIAL"},
-                                 {3, "RADIAL"},
-                                 {4, "OPENCV"},
-                                 {5, "OPENCV_FISHEYE"},
-                                 {6, "FULL_OPENCV"},
-                                 {7, "FOV"},
-                                 {8, "SIMPLE_RADIAL_FISHEYE"},
-                                 {9, "RADIAL_FISHEYE"},
-                                 {10, "THIN_PRISM_FISHEYE"},
-                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE"}};
+constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE", 3},
+                                 {1, "PINHOLE", 4},
+                                 {2, "SIMPLE_RADIAL", 4},
+                                 {3, "RADIAL", 5},
+                                 {4, "OPENCV", 8},
+                                 {5, "OPENCV_FISHEYE", 8, false},
+                                 {6, "FULL_OPENCV", 12},
+                                 {7, "FOV", 5, false},
+                                 {8, "SIMPLE_RADIAL_FISHEYE", 4, false},
+                                 {9, "RADIAL_FISHEYE", 5, false},
+                                 {10, "THIN_PRISM_FISHEYE", 12, false},
+                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, false}};
+
+/// The model of COLMAP that is not supported here and has this name or number, or null.
+template <class Key>
+const ModelId* unsupported_model(Key ModelId::*key, const Key& value) {
+  for (const ModelId& entry : model_ids) {
+    if (!entry.supported && entry.*key == value) return &entry;
+  }
+  return nullptr;
+}
 
 LensModel model_of_id(int id, const std::string& where) {
   for (const ModelId& entry : model_ids) {
@@ -78,7 +90,14 @@ class Builder {
     }
   }
 
+  /// A camera whose images are left out.
+  void add_unsupported_camera(std::uint32_t id, std::string_view model) { unsupported_.emplace(id, model); }
+
   void add_image(std::uint32_t id, ColmapImage image, const std::string& where) {
+    if (const auto found = unsupported_.find(image.camera_id); found != unsupported_.end()) {
+      model_.left_out.emplace(std::move(image.name), found->second);
+      return;
+    }
     if (!model_.cameras.contains(image.camera_id)) {
       throw input_error(where + ": image \"" + image.name + "\" has camera id " + std::to_string(image.camera_id) +
                         ", which the cameras file does not have");
@@ -100,6 +119,7 @@ class Builder {
  private:
   std::filesystem::path folder_;
   ColmapModel model_;
+  std::map<std::uint32_t, std::string> unsupported_;
 };
 
 // ---- text ----
@@ -159,8 +179,13 @@ void read_cameras_text(Builder& builder) {
     const std::string where = where_of(path, file);
     Words words(line, where);
     const auto id = words.number<std::uint32_t>("camera id");
+    const std::string_view name = words.next();
+    if (unsupported_model(&ModelId::name, name) != nullptr) {
+      builder.add_unsupported_camera(id, name);
+      continue;
+    }
     LensCamera camera;
-    camera.model = lens_model(words.next(), where + ": camera model");
+    camera.model = lens_model(name, where + ": camera model");
     const auto width = words.number<std::uint64_t>("width"), height = words.number<std::uint64_t>("height");
     while (!words.done()) camera.params.push_back(words.number<double>("parameter"));
     builder.add_camera(id, std::move(camera), width, height, where);
@@ -246,9 +271,15 @@ void read_cameras_binary(Builder& builder) {
   for (std::uint64_t i = 0; i < count; ++i) {
     const auto id = read_value<std::uint32_t>(file);
     const std::string where = path.string() + " camera " + std::to_string(id);
-    LensCamera camera;
-    camera.model = model_of_id(read_value<std::int32_t>(file), where + ": camera model");
+    const int number = read_value<std::int32_t>(file);
     const auto width = read_value<std::uint64_t>(file), height = read_value<std::uint64_t>(file);
+    if (const ModelId* const unsupported = unsupported_model(&ModelId::id, number)) {
+      file.skip(static_cast<std::uint64_t>(unsupported->parameters) * sizeof(double));
+      builder.add_unsupported_camera(id, unsupported->name);
+      continue;
+    }
+    LensCamera camera;
+    camera.model = model_of_id(number, where + ": camera model");
     camera.params.resize(static_cast<std::size_t>(parameter_count(camera.model)));
     for (double& parameter : camera.params) parameter = read_value<double>(file);
     builder.add_camera(id, std::move(camera), width, height, where);
@@ -395,6 +426,10 @@ const ColmapImage& ColmapModel::image(const std::string& name, const std::string
   for (const auto& [id, candidate] : images) {
     if (candidate.name == name) return candidate;
     if (++shown <= names_shown) names += (shown == 1 ? "" : ", ") + candidate.name;
+  }
+  if (const auto found = left_out.find(name); found != left_out.end()) {
+    throw input_error(where + " = \"" + name + "\" is of a camera with the model " + found->second +
+                      ", which is not supported; expected an image that COLMAP's image_undistorter made");
   }
   if (shown > names_shown) names += ", …";
   throw input_error(where + " = \"" + name + "\" is not in the COLMAP model; it has " +

@@ -47,8 +47,10 @@ struct ColmapModel {
   std::map<std::uint32_t, LensCamera> cameras;
   std::map<std::uint32_t, ColmapImage> images;
   std::map<std::uint64_t, ColmapPoint> points;
+  std::map<std::string, std::string> left_out;  ///< images whose camera's model is not supported, and that model
 
-  /// Image with this name; otherwise an input error lists the existing names. `where` names file and field.
+  /// Image with this name; otherwise an input error lists the existing names, or names the camera model that is not
+  /// supported. `where` names file and field.
   const ColmapImage& image(const std::string& name, const std::string& where) const;
   /// Moves the model: x becomes scale · rotation · x + translation.
   void transform(double scale, const Eigen::Matrix3d& rotation, const Eigen::Vector3d& translation);
@@ -58,9 +60,10 @@ struct ColmapModel {
 enum class ColmapParts { cameras_and_images, everything };
 
 /// Reads cameras, images and points3D from a folder, binary (preferred, as COLMAP does) or text, of COLMAP 3.x and 4.x
-/// (rigs and frames are not needed and ignored). Without points3D the model has none.
-/// Throws ErrorCode::input naming file and line or record: file missing or truncated, camera model not supported, image
-/// of an unknown camera, numbers that are not finite, a rotation of length zero.
+/// (rigs and frames are not needed and ignored). Without points3D the model has none. Images of fisheye cameras are
+/// left out; points may still name them in their tracks.
+/// Throws ErrorCode::input naming file and line or record: file missing or truncated, camera model not known, image of
+/// an unknown camera, numbers that are not finite, a rotation of length zero.
 ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapParts parts = ColmapParts::everything);
 
 /// The files of a model's cameras and images that read_colmap_model reads. Throws ErrorCode::input if there are none.

@@ -1,11 +1,20 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <sstream>
 
 #include "malus/core/error.h"
 #include "malus/io/given_scale_internal.h"
 
 namespace malus {
 namespace {
+
+void require_in_image(const ImageMark& mark, Size size, const std::string& where) {
+  if (mark.x >= -0.5 && mark.y >= -0.5 && mark.x <= size.width - 0.5 && mark.y <= size.height - 0.5) return;
+  std::ostringstream message;
+  message << where << ": its mark x = " << mark.x << ", y = " << mark.y << " lies outside of " << mark.image
+          << ", which has " << to_string(size) << " pixels";
+  throw input_error(message.str());
+}
 
 /// Point nearest to the rays of all marks.
 Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapModel& model, const std::string& where) {
@@ -14,7 +23,9 @@ Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapM
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   for (const ImageMark& mark : marks) {
     const ColmapImage& image = model.image(mark.image, where);
-    const Eigen::Vector2d ideal = model.cameras.at(image.camera_id).undistort({mark.x, mark.y});
+    const LensCamera& camera = model.cameras.at(image.camera_id);
+    require_in_image(mark, camera.size, where);
+    const Eigen::Vector2d ideal = camera.undistort({mark.x, mark.y});
     const Eigen::Vector3d ray =
         (image.pose.rotation.transpose() * Eigen::Vector3d(ideal.x(), ideal.y(), 1)).normalized();
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();

@@ -108,9 +108,8 @@ class CloudBuilder {
   std::size_t bad_ = 0, first_bad_ = 0;
 };
 
-/// Splits a line at blanks, commas and semicolons; `words` is reused.
-void split(std::string_view line, std::vector<std::string_view>& words) {
-  constexpr std::string_view separators = " \t,;";
+/// Splits a line at any of the separators; `words` is reused.
+void split(std::string_view line, std::string_view separators, std::vector<std::string_view>& words) {
   words.clear();
   for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
     const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
@@ -251,7 +250,7 @@ class PlyReader {
     std::string_view line;
     do {
       if (!file_.read_line(line)) throw file_.error("is truncated: ends before its last \"" + element.name + "\"");
-      split(line, words_);
+      split(line, " \t", words_);
     } while (words_.empty());
     std::size_t next = 0;
     const auto number = [&] {
@@ -374,6 +373,8 @@ TriangleMesh read_ply(InputFile& file, PlyParts parts, const Context& context) {
 
 // ---- XYZ text ----
 
+constexpr std::string_view xyz_separators = " \t,;";
+
 /// Which column holds which slot; `columns` is the number that a line must have.
 struct Columns {
   std::array<bool, slot_count> present{};
@@ -403,7 +404,7 @@ std::size_t slot_of_column(std::string_view name) {
 std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
   const bool comment = is_comment(line);
   line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
-  split(line, words);
+  split(line, xyz_separators, words);
   if (words.empty() || (comment && slot_of_column(words[0]) == slot_count)) return std::nullopt;
   Columns columns;
   for (std::size_t i = 0; i < words.size(); ++i) {
@@ -443,7 +444,8 @@ bool has_decimal_commas(std::string_view line) {
   bool decimal = false;
   for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos; ++words) {
     const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
-    const std::string_view word = line.substr(at, end - at);
+    std::string_view word = line.substr(at, end - at);
+    if (word.ends_with(',')) word.remove_suffix(1);  // commas divide the columns, too: 1,5, 2,25, 3,75
     const std::size_t comma = word.find(',');
     const bool inside = comma != std::string_view::npos && comma > 0 && comma + 1 < word.size();
     decimal = decimal || (inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]));
@@ -457,19 +459,24 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
   std::optional<CloudBuilder> builder;
   std::vector<std::string_view> words;
   std::vector<double> values;
+  bool counted = false;
   for (std::string_view line; file.read_line(line);) {
     if (file.line_number() % records_between_checks == 0) context.check_cancel();
     const bool first = !builder.has_value();
     constexpr std::string_view byte_order_mark = "\xef\xbb\xbf";
     if (file.line_number() == 1 && line.starts_with(byte_order_mark)) line.remove_prefix(byte_order_mark.size());
-    if (first && !columns) columns = columns_of_names(line, words);
+    if (first && !columns) {
+      columns = columns_of_names(line, words);
+      if (columns) continue;
+    }
     if (is_comment(line)) continue;
-    split(line, words);
+    split(line, xyz_separators, words);
     values.resize(words.size());
     bool numbers = true;
     for (std::size_t i = 0; i < words.size(); ++i) numbers = numbers && parse_number(words[i], values[i]);
-    // A first line of names, or the number of points alone (PTS).
-    if (first && file.line_number() == 1 && (!numbers || values.size() == 1)) continue;
+    // A first line of other names, or the number of points alone (PTS), which may follow column names (CloudCompare).
+    if (first && file.line_number() == 1 && !numbers) continue;
+    if (first && numbers && values.size() == 1 && !std::exchange(counted, true)) continue;
     if (!numbers || values.size() < 3) throw malformed_line(file, line);
     if (has_decimal_commas(line)) throw malformed_line(file, line, "numbers with decimal points, not commas");
     if (!columns) columns = columns_of_values(values);
@@ -591,7 +598,7 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
 
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
   InputFile file(path, what);
-  if (!is_ply(path)) throw file.error("is not a PLY file");
+  if (!is_ply(path)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
   if (mesh.triangles.empty()) throw file.error("has no faces");
   return mesh;

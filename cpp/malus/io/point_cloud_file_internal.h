@@ -14,8 +14,8 @@ namespace malus {
 /// PLY, ASCII or binary of either byte order, properties in any order and of any type: x, y, z; optionally nx, ny, nz
 /// and red, green, blue (floating-point colors are taken as 0 to 1, 16-bit ones are scaled); other properties are
 /// ignored. XYZ text: one point per line, separated by blanks, commas or semicolons; lines starting with #, // or % are
-/// comments, except that a first line with column names (x y z nx ny nz r g b, in any order, and others, which are
-/// ignored; in a comment one of these comes first) defines the columns. Decimal commas are an error.
+/// comments, except that a line with column names (x y z nx ny nz r g b, in any order, and others, which are ignored;
+/// in a comment one of these comes first) before the first point defines the columns. Decimal commas are an error.
 /// Without names: x y z; six columns are x y z r g b if the first line's last three are whole numbers from 0 to 255 and
 /// not a unit vector, else x y z nx ny nz; nine are x y z r g b nx ny nz; with any other number only the first three
 /// are used. A normal that is not finite becomes zero.

@@ -13,6 +13,7 @@
 #include "malus/core/error.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/ranked_values_internal.h"
+#include "malus/prior/facing_depths_internal.h"
 #include "malus/prior/merged_points_internal.h"
 
 namespace malus {
@@ -125,6 +126,7 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
                        const Bands& bands, PointCensus& census, const Context& context) {
   ProjectedCloud projected(cloud, bands);
   std::vector<PointCensus> counts(projected.blocks());
+  std::vector<FacingDepths> depths(projected.has_normals() ? projected.blocks() : 0, FacingDepths(camera.size));
   parallel_for(context, cloud.points.size(), block_size, [&](std::size_t begin, std::size_t end) {
     std::vector<ProjectedPoint> out;
     std::vector<Eigen::Vector3f> normals;
@@ -164,7 +166,10 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
           if (cloud.normals[p.index].allFinite()) {
             normal = pose.rotation * cloud.normals[p.index].cast<double>().stableNormalized();
           }
-          if (normal.dot(p.x) > 0) {
+          const bool faces = !(normal.dot(p.x) > 0);
+          depths[begin / block_size].add(static_cast<int>(p.pixel.x() + 0.5), static_cast<int>(p.pixel.y() + 0.5),
+                                         p.x.z(), faces);
+          if (!faces) {
             ++counted.facing_away;
             continue;
           }
@@ -177,6 +182,8 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
     counts[begin / block_size] = counted;
   });
   for (const PointCensus& counted : counts) census += counted;
+  for (std::size_t block = 1; block < depths.size(); ++block) depths.front().add(depths[block]);
+  census.reversed = !depths.empty() && depths.front().are_reversed(camera.focal());
   return projected;
 }
 

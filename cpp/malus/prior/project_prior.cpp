@@ -24,6 +24,7 @@
 #include "malus/prior/choose_smoothing_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/rounded_points_internal.h"
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/prior/smoothing_spline_internal.h"
 #include "malus/prior/visible_points_internal.h"
@@ -32,8 +33,11 @@ namespace malus {
 namespace {
 
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
-/// If more than this share of a cloud's points faces away, the error message names the normals as the cause.
+/// If more than this share of a cloud's points on the object faces away, the error message names the normals as the
+/// cause.
 constexpr double mostly = 0.7;
+constexpr const char* normals_inwards =
+    "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
 
 void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options) {
   validate_fields(options, "prior");
@@ -48,6 +52,10 @@ void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const P
 
 void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   const PointCensus& census = visible.census;
+  if (census.reversed) {
+    throw data_error("prior cloud: " + std::to_string(census.facing_away) + " of " + std::to_string(census.total) +
+                     " points face away, but lie in front of those that face the camera: " + normals_inwards);
+  }
   if (visible.points.size() >= static_cast<std::size_t>(options.min_points)) return;
   std::ostringstream message;
   message << "prior cloud: " << census.used << " of " << census.total << " points are visible on the object";
@@ -57,8 +65,11 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
           << census.outside << " outside the image, " << census.off_object << " outside the mask, "
           << census.facing_away << " facing away, " << census.hidden << " hidden, " << census.outliers
           << " outliers): ";
-  if (census.facing_away > mostly * static_cast<double>(census.total)) {
-    message << "the cloud's normals point away from the camera: turn them outwards, or export the cloud without them";
+  const std::size_t on_object = census.facing_away + census.hidden + census.outliers + census.used;
+  if (static_cast<double>(census.facing_away) > mostly * static_cast<double>(on_object)) {
+    message << normals_inwards;
+  } else if (2 * census.used > census.total) {
+    message << "the cloud has too few points";
   } else {
     message << "check that cloud and camera pose are in one frame and unit";
   }
@@ -471,6 +482,7 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
+  warn_if_rounded(cloud, camera, pose, "prior cloud", context);
   VisiblePoints visible = visible_points(
       cloud, camera, pose, mask,
       {options.neighbors, options.outlier_tolerance, options.outlier_floor_gsd, options.max_slope_deg}, context);
@@ -510,14 +522,21 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
+  warn_if_rounded(mesh.vertices, camera, pose, "prior mesh", context);
   return with_noise(
       prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
+}
+
+void require_depth_map(const Image<float>& depth, Size size) {
+  require_size(depth, size, "prior depth map");
+  if (depth.channels() != 1)
+    throw input_error("prior depth map has " + std::to_string(depth.channels()) + " channels, expected 1");
 }
 
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
-  require_size(depth, camera.size, "prior depth map");
+  require_depth_map(depth, camera.size);
   return with_noise(prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context));
 }
 

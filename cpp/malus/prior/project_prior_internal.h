@@ -32,6 +32,9 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
 DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
+/// Throws an input error unless the raster has this size and one channel.
+void require_depth_map(const Image<float>& depth, Size size);
+
 /// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive depths
 /// are taken unchanged, with `sigma` or `raster_sigma_gsd`; other object pixels are filled by a spline through their
 /// surroundings.

@@ -40,7 +40,8 @@ inline int pixel_of(float coordinate, int count) {
 /// How many points of a cloud were used, and how many were dropped for which reason.
 struct PointCensus {
   std::size_t total = 0, behind = 0, outside = 0, off_object = 0, facing_away = 0, hidden = 0, outliers = 0;
-  std::size_t used = 0;  ///< cloud points that were averaged into the kept view points
+  std::size_t used = 0;   ///< cloud points that were averaged into the kept view points
+  bool reversed = false;  ///< whether points that face away hide those that face the camera: normals point inwards
 };
 
 struct VisiblePoints {

@@ -16,6 +16,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/polarization/reflection.h"
+#include "malus/prior/project_prior_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"
@@ -129,7 +130,7 @@ struct PriorCheck {
   }
   std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
   std::string operator()(const Image<float>& depth) const {
-    require_size(depth, station.file.camera->lens.pinhole().size, "prior depth map");
+    require_depth_map(depth, station.file.camera->lens.pinhole().size);
     return "depth map";
   }
   std::string operator()(const SweptDepth&) const { return "depth map"; }

@@ -83,21 +83,70 @@ def _lens(sensor: ElementTree.Element, where: str) -> tuple[str, int, int, list[
     return "FULL_OPENCV", width, height, [focal_x, focal_y, *center, *terms, 0.0, 0.0, 0.0]
 
 
-def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
-    """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml.
+def _chunks(file: Path) -> Sequence[ElementTree.Element]:
+    try:
+        return ElementTree.fromstring(read_regular(file)).findall("chunk")
+    # LookupError and ValueError: the file names an encoding that does not exist or that the parser does not support.
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
+        raise InputError(f"{file}: not a cameras.xml ({error})") from None
+
+
+def _aligned(chunk: ElementTree.Element) -> list[tuple[str, ElementTree.Element]]:
+    """The cameras of a chunk that have a position, with names that tell cameras of one label apart."""
+    placed = [element for element in chunk.iter("camera") if element.find("transform") is not None]
+    shared = Counter(element.get("label") for element in placed)
+
+    def name_of(element: ElementTree.Element) -> str:
+        label = element.get("label") or str(element.get("id"))
+        return f"{label} (camera {element.get('id')})" if shared[element.get("label")] > 1 else label
+
+    return [(name_of(element), element) for element in placed]
+
+
+@dataclass(frozen=True)
+class MetashapeChunk:
+    """What a cameras.xml says of a chunk, besides its cameras' lenses and poses."""
+
+    label: str
+    cameras: list[str]
+    """Names of the cameras that have a position."""
+    coordinates: str
+    """Coordinate system in WKT; empty if the file does not say it."""
+
+    @property
+    def in_meters(self) -> bool:
+        """Whether the coordinate system says that the cameras' positions are in meters."""
+        return self.on_earth or 'UNIT["metre",1' in self.coordinates
+
+    @property
+    def on_earth(self) -> bool:
+        """Whether the cameras' positions are geocentric, as Metashape writes them for all but local coordinates."""
+        return bool(self.coordinates) and not self.coordinates.startswith("LOCAL_CS")
+
+
+def metashape_chunks(path: str | Path) -> list[MetashapeChunk]:
+    """The chunks of a Metashape cameras.xml. Raises InputError if it is none."""
+    return [
+        MetashapeChunk(
+            chunk.get("label") or str(number),
+            [name for name, _ in _aligned(chunk)],
+            (chunk.findtext("reference") or "").strip(),
+        )
+        for number, chunk in enumerate(_chunks(Path(path)))
+    ]
+
+
+def read_metashape(path: str | Path, chunk: int = 0, only: str | None = None) -> dict[str, Camera]:
+    """Cameras with lens and pose, by label, of one chunk of a Metashape cameras.xml; `only`: the one of this name.
 
     World frame and unit follow from the transform of a camera's component (in versions that divide chunks into components), else from
     the transform of the chunk; without a transform they are the chunk's own. Cameras without a position are left out. Poses are
     returned as cam_from_world, lenses as FULL_OPENCV. Labels that several cameras share, such as DSC_0001 of two memory cards, get
-    the cameras' numbers: "DSC_0001 (camera 7)". Raises InputError naming file and element.
+    the cameras' numbers: "DSC_0001 (camera 7)". Raises InputError naming file and element; lenses of other cameras than those that
+    are returned may be of any kind.
     """
     file = Path(path)
-    try:
-        root = ElementTree.fromstring(read_regular(file))
-    # LookupError and ValueError: the file names an encoding that does not exist or that the parser does not support.
-    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
-        raise InputError(f"{file}: not a cameras.xml ({error})") from None
-    chunks: Sequence[ElementTree.Element] = root.findall("chunk")
+    chunks = _chunks(file)
     if not 0 <= chunk < len(chunks):
         raise InputError(f"{file}: chunk {chunk} of {len(chunks)}, expected one that is there")
     source = chunks[chunk]
@@ -106,27 +155,22 @@ def read_metashape(path: str | Path, chunk: int = 0) -> dict[str, Camera]:
         component.get("id"): _similarity(component, f"{file}: component {component.get('id')}")
         for component in source.iterfind("components/component")
     }
+    aligned = [(name, element) for name, element in _aligned(source) if only in (None, name)]
+    used = {element.get("sensor_id") for _, element in aligned}
     lenses = {
         sensor.get("id"): _lens(sensor, f'{file}: sensor "{sensor.get("label", sensor.get("id"))}"')
         for sensor in source.iterfind("sensors/sensor")
-        if sensor.find("calibration") is not None
+        if sensor.get("id") in used and sensor.find("calibration") is not None
     }
     cameras: dict[str, Camera] = {}
-    placed = [element for element in source.iter("camera") if element.find("transform") is not None]
-    shared = Counter(element.get("label") for element in placed)
-    for element in placed:
-        transform = element.find("transform")
-        assert transform is not None
-        label = element.get("label") or str(element.get("id"))
-        if shared[element.get("label")] > 1:
-            label = f"{label} (camera {element.get('id')})"
-        where = f'{file}: camera "{label}"'
+    for name, element in aligned:
+        where = f'{file}: camera "{name}"'
         if element.get("sensor_id") not in lenses:
             raise InputError(f"{where} has sensor {element.get('sensor_id')!r}, which has no calibration")
-        chunk_from_cam = np.array(_numbers(transform.text, 16, f"{where}: <transform>")).reshape(4, 4)
+        chunk_from_cam = np.array(_numbers(element.findtext("transform"), 16, f"{where}: <transform>")).reshape(4, 4)
         world = of_component.get(element.get("component_id")) or of_chunk
         world_from_cam = world.rotation @ chunk_from_cam[:3, :3]
         center = world.scale * world.rotation @ chunk_from_cam[:3, 3] + world.translation
         model, width, height, params = lenses[element.get("sensor_id")]
-        cameras[label] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
+        cameras[name] = Camera(model, width, height, params, world_from_cam.T, -world_from_cam.T @ center)
     return cameras

@@ -17,12 +17,14 @@ from PIL import ExifTags
 from malus import _core, raw
 from malus._files import require_utf8
 from malus._patterns import MOST_NAMES
-from malus.errors import InputError, MalusError
+from malus.errors import DataError, InputError, MalusError
 from malus.exif import number_of, tags_of
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
+#: Fewer masks of photos give no visual hull (least_silhouettes in stereo/visual_hull_internal.h).
+_LEAST_MASKS = 4
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -41,11 +43,15 @@ class Photo:
     """Focal length in pixels from the EXIF data; None if unknown."""
     mask: Path | None = None
     """Image of the photo's size, non-zero = object; None if there is none."""
+    focal_mm: float | None = None
+    """Focal length in millimeters from the EXIF data, which may not tell the size of a pixel; None if unknown."""
 
     @property
-    def camera_key(self) -> tuple[int, int, str, float | None]:
+    def camera_key(self) -> tuple[int, int, str, float | None, float | None]:
         """Key that is the same for photos of one camera, lens and focal length."""
-        return self.width, self.height, self.maker, None if self.focal_px is None else round(self.focal_px, 1)
+        if self.focal_px is not None:
+            return self.width, self.height, self.maker, round(self.focal_px, 1), None
+        return self.width, self.height, self.maker, None, self.focal_mm
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
@@ -57,8 +63,10 @@ def _positive(value: object) -> float | None:
     return number if number is not None and number > 0 else None
 
 
-def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
-    """Camera and lens ("" if unknown), and the focal length in pixels (None if unknown), from the file's EXIF data."""
+def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float | None]:
+    """Camera and lens ("" if unknown), and the focal length in pixels and in millimeters (None if unknown), from the
+    file's EXIF data.
+    """
     said = tags_of(path)
     tags = ExifTags.Base
     names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
@@ -70,18 +78,18 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None]:
     if focal_mm and resolution:
         # The resolution refers to the image as the camera wrote it.
         scale = max(width, height) / max(written or width, _positive(said.get(tags.ExifImageHeight)) or height)
-        return maker, focal_mm * resolution / unit * scale
+        return maker, focal_mm * resolution / unit * scale, focal_mm
     equivalent = _positive(said.get(tags.FocalLengthIn35mmFilm))
     if equivalent:
-        return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height)
-    return maker, None
+        return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height), focal_mm
+    return maker, None, focal_mm
 
 
 def describe_photo(path: Path, name: str) -> Photo:
     """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
     width, height = raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))
-    maker, focal_px = _exif(path, width, height)
-    return Photo(name, path, width, height, maker, focal_px)
+    maker, focal_px, focal_mm = _exif(path, width, height)
+    return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
 
 
 def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> dict[str, Path]:
@@ -160,6 +168,15 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
             f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
         )
     return found
+
+
+def require_enough_masks(photos: Sequence[Photo]) -> None:
+    """DataError if some photos have masks, but too few for a visual hull; the run would end with this error after the matching."""
+    masks = sum(photo.mask is not None for photo in photos)
+    if 0 < masks < _LEAST_MASKS:
+        raise DataError(
+            f"[photos] masks: {masks} of {len(photos)} photos have a mask, expected at least {_LEAST_MASKS}, from many sides"
+        )
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -12,8 +12,9 @@ from malus.photogrammetry import diagnosis
 from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
+from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
-from malus.photogrammetry.photos import photos_of
+from malus.photogrammetry.photos import photos_of, require_enough_masks
 from malus.photogrammetry.program import Colmap
 
 
@@ -58,6 +59,8 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     masks = sum(photo.mask is not None for photo in photos)
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
+    require_enough_masks(photos)
+    require_marks_in_photos(station, photos)
     require_control_points(station, [photo.name for photo in photos])
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,8 +123,11 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
     return [{"image": root.name(shot.image), "angle": shot.angle_deg, "exposure": shot.exposure_s} for shot in shots]
 
 
-def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
-    """The opened folder and all folders below it, each with its files; without folders inside results, and within _SEARCHED entries."""
+def below(root: Root) -> tuple[list[tuple[Path, list[str]]], bool]:
+    """The opened folder and all folders below it, each with its files, without folders inside results; and whether these are all, since
+    at most _SEARCHED folders and files are searched.
+    """
+    found: list[tuple[Path, list[str]]] = []
     seen = 0
     for place, folders, files in os.walk(root.folder):
         here = Path(place)
@@ -134,18 +137,20 @@ def below(root: Root) -> Iterator[tuple[Path, list[str]]]:
         folders[:] = sorted(f for f in folders if not f.startswith(".")) if deeper else []
         seen += 1 + len(files)
         if seen > _SEARCHED:
-            return
+            return found, False
         if root.holds(here):
-            yield here, files
+            found.append((here, files))
+    return found, True
 
 
-def candidates(root: Root) -> dict[str, list[Any]]:
+def candidates(root: Root) -> dict[str, Any]:
     """Files that a station file may name, and existing stations: `priors` as {kind, path}, where the kinds are the keys of [prior];
-    `models` of COLMAP, folders of `images`, and `stations`, as paths.
+    `models` of COLMAP, folders of `images`, and `stations`, as paths; `note` says if not all folders were searched, else it is None.
     """
     priors: list[dict[str, str]] = []
     models, images, stations = [], [], []
-    for here, files in below(root):
+    searched, complete = below(root)
+    for here, files in searched:
         if "manifest.json" in files and is_result(here):  # Results are no inputs.
             continue
         names = set(files)
@@ -156,7 +161,17 @@ def candidates(root: Root) -> dict[str, list[Any]]:
         stations += [root.name(path) for path in inside if _is_station(path)]
         if any(_is_image(path) for path in inside):
             images.append(root.name(here))
-    return {"priors": priors, "models": models, "images": images, "stations": stations}
+    note = (
+        f"The folder {root.folder.name} holds more than {_SEARCHED} files: not all stations, models and surfaces below it are listed. "
+        "Start Studio in a folder inside."
+    )
+    return {
+        "priors": priors,
+        "models": models,
+        "images": images,
+        "stations": stations,
+        "note": None if complete else note,
+    }
 
 
 def _kind_of_prior(path: Path) -> str | None:

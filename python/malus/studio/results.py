@@ -49,7 +49,7 @@ def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
 
 def _folders_with(root: Root, file: str) -> list[str]:
     # A link may lead out of the opened folder.
-    return sorted(root.name(here) for here, files in below(root) if file in files and root.holds(here / file))
+    return sorted(root.name(here) for here, files in below(root)[0] if file in files and root.holds(here / file))
 
 
 def station_of(root: Root, folder: Path) -> str | None:

@@ -41,6 +41,23 @@ TEST(PriorAlignment, ACorrectlyPlacedCloudGivesNoWarning) {
   EXPECT_GT(found.object_covered, 0.95);
 }
 
+TEST(PriorAlignment, NormalsOfZeroLengthAreNotKnown) {
+  EvidenceScene scene;
+  scene.cloud.normals.clear();
+  const PriorAlignment without = check(scene, scene.cloud);
+  scene.cloud.normals.assign(scene.cloud.points.size(), Eigen::Vector3f::Zero());
+  const PriorAlignment zero = check(scene, scene.cloud);
+  EXPECT_EQ(zero.finding.text(), without.finding.text());
+  EXPECT_EQ(zero.finding.severity, Severity::note) << zero.finding.text();
+  EXPECT_EQ(zero.object_covered, without.object_covered);
+  // Half of the normals are known.
+  scene.cloud = EvidenceScene().cloud;
+  for (std::size_t i = 0; i < scene.cloud.normals.size() / 2; ++i) scene.cloud.normals[i].setZero();
+  const PriorAlignment half = check(scene, scene.cloud);
+  EXPECT_EQ(half.finding.severity, Severity::note) << half.finding.text();
+  EXPECT_GT(half.object_covered, 0.95);
+}
+
 TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
   const EvidenceScene scene;
   const PriorAlignment shifted = check(scene, scene.moved(motion(-8, 3)));

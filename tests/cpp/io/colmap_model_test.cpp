@@ -135,7 +135,7 @@ TEST(ColmapModel, ErrorsNameFileLineAndValue) {
         ErrorCode::input, [&] { read_colmap_model(folder.path()); }, parts...);
   };
   const std::string camera = "1 PINHOLE 100 80 500 500 50 40\n", image = "1 1 0 0 0 0 0 5 1 a.jpg\n\n";
-  rejects("1 OPENCV_FISHEYE 100 80 1 1 1 1 1 1 1 1\n", image, "cameras.txt line 1", "OPENCV_FISHEYE", "FULL_OPENCV");
+  rejects("1 CRYSTAL_BALL 100 80 1 1 1 1 1 1 1 1\n", image, "cameras.txt line 1", "CRYSTAL_BALL", "FULL_OPENCV");
   rejects("1 PINHOLE 100 80 500 500 50\n", image, "line 1", "3 parameters", "expected 4");
   rejects("1 PINHOLE 100 80 500 x 50 40\n", image, "\"x\"", "expected a number");
   rejects("1 PINHOLE 0 80 500 500 50 40\n", image, "image size");
@@ -159,6 +159,27 @@ TEST(ColmapModel, ErrorsNameFileLineAndValue) {
   brown.cameras[1] = {LensModel::brown, {100, 80}, {50, 0.1, 0, 0, 0, 0, 0, 0, 0, 0}};
   expect_error(
       ErrorCode::input, [&] { write_colmap_model(empty.path(), brown); }, "BROWN");
+}
+
+TEST(ColmapModel, ImagesOfFisheyeCamerasAreLeftOut) {
+  const TemporaryFolder text, binary;
+  text.write("cameras.txt", "1 OPENCV_FISHEYE 100 80 500 500 50 40 0 0 0 0\n2 PINHOLE 100 80 500 510 50 40\n");
+  text.write("images.txt", "1 1 0 0 0 0 0 5 1 a.jpg\n\n2 1 0 0 0 0 0 5 2 b.jpg\n\n");
+  ColmapModel model = some_model();
+  write_colmap_model(binary.path(), model);
+  std::string cameras = read_file(binary / "cameras.bin", "model");
+  cameras[12] = 5;  // the first camera's model is OPENCV, with as many parameters
+  binary.write("cameras.bin", cameras);
+  const auto rejects = [](const ColmapModel& read, const std::string& name) {
+    expect_error(
+        ErrorCode::input, [&] { read.image(name, "[camera].image"); }, "[camera].image = \"" + name + "\"",
+        "OPENCV_FISHEYE", "image_undistorter");
+  };
+  const ColmapModel of_text = read_colmap_model(text.path()), of_binary = read_colmap_model(binary.path());
+  EXPECT_EQ(of_text.cameras.at(of_text.image("b.jpg", "test").camera_id).pinhole().fy, 510);
+  rejects(of_text, "a.jpg");
+  EXPECT_EQ(of_binary.image("sub/station.jpg", "test").camera_id, 7U);
+  rejects(of_binary, "view 00.jpg");
 }
 
 TEST(ColmapModel, TruncatedAndDamagedBinariesAreInputErrors) {

@@ -77,6 +77,9 @@ TEST(GivenScale, WrongMarksAreNamed) {
   EXPECT_THROW(given_scale({parallel}, &pair.model, "s"), Error);
   EXPECT_THROW(given_scale({unknown}, &pair.model, "s"), Error);
   EXPECT_THROW(given_scale({unknown}, nullptr, "s"), Error);
+  ScaleBar outside = pair.bar({0, 0, 5}, {1, 0, 5}, 1);
+  outside.b[1].x = 250;
+  EXPECT_THROW(given_scale({outside}, &pair.model, "s"), Error);
 }
 
 }  // namespace

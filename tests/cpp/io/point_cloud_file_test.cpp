@@ -129,6 +129,7 @@ TEST(PointCloudFile, ReadsAsciiPlyWithPolygons) {
   rejects(vertices + "4 0 1 2 3\n", "truncated");
   rejects(vertices, "claims 2 elements \"face\"");
   rejects("0 0 zero 0 0 0\n" + vertices, "line 13", "zero");
+  rejects("0,5 0,5 0,5 0 0 0\n" + vertices, "line 13", "0,5");
 }
 
 TEST(PointCloudFile, ReadsXyzText) {
@@ -154,6 +155,9 @@ TEST(PointCloudFile, ReadsXyzText) {
   EXPECT_EQ(cloud("\"z\",\"y\",\"x\"\n1,2,3\n").points[0], Eigen::Vector3d(3, 2, 1));
   EXPECT_EQ(cloud("\xef\xbb\xbfz;y;x\n1;2;3\n").points[0], Eigen::Vector3d(3, 2, 1)) << "with a byte order mark";
   EXPECT_EQ(cloud("1,2,3 10,20,30\n").colors[0], (Rgb{10, 20, 30}));
+  EXPECT_EQ(cloud("1,2,3, 10,20,30\n").colors[0], (Rgb{10, 20, 30}));
+  EXPECT_EQ(cloud("# scan 7\nz y x\n1 2 3\n").points[0], Eigen::Vector3d(3, 2, 1)) << "names below a comment";
+  EXPECT_EQ(cloud("//Z Y X\n2\n1 2 3\n4 5 6\n").points[1], Eigen::Vector3d(6, 5, 4)) << "as of CloudCompare";
   const auto rejects = [&](const std::string& text, const auto&... parts) {
     expect_error(
         ErrorCode::input, [&] { cloud(text); }, "a.xyz", parts...);
@@ -164,6 +168,8 @@ TEST(PointCloudFile, ReadsXyzText) {
   rejects("x;y;z\n1,5;2,25;3,75\n", "line 2", "1,5;2,25;3,75", "decimal points");
   rejects("1,5\t2,25\t-3,75\n", "line 1", "decimal points");
   rejects("1;2;3\n1,5;2;3\n", "line 2", "decimal points");
+  rejects("1,5, 2,25, 3,75\n", "line 1", "decimal points");
+  rejects("1\n2\n3\n", "line 2", "expected numbers");
   rejects("# nothing\n", "no points");
   rejects(std::string("\x7f"
                       "ELF\0\1\2",

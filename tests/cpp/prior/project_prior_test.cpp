@@ -11,6 +11,7 @@
 #include "malus/core/error.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/rounded_points_internal.h"
 #include "thrown_error.h"
 
 namespace malus {
@@ -259,6 +260,28 @@ TEST(PriorOfCloud, UsesAStatedSigmaAndWarnsIfThePointsContradictIt) {
   expect_contains(warning, "sigma states 0.05");
 }
 
+TEST(PriorOfCloud, WarnsOfANationalGridInSinglePrecision) {
+  std::string warning;
+  Context context;
+  context.on_log = [&warning](LogLevel, const std::string& message) { warning += message; };
+  const auto said = [&](const Eigen::Vector3d& origin, bool single) {
+    PointCloud cloud = sample(plane_depth, 500, 0);
+    Pose pose = test_pose();
+    pose.translation -= pose.rotation * origin;
+    for (Eigen::Vector3d& point : cloud.points) {
+      point += origin;
+      if (single) point = point.cast<float>().cast<double>().eval();
+    }
+    warning.clear();
+    warn_if_rounded(cloud, test_camera(), pose, "prior cloud", context);
+    return warning;
+  };
+  const Eigen::Vector3d grid(4.3e7, 5.4e7, 90);
+  expect_contains(said(grid, true), "prior cloud: its coordinates are of single precision, in steps of 4 at 5.4e+07");
+  EXPECT_EQ(said(grid, false), "");
+  EXPECT_EQ(said(Eigen::Vector3d::Zero(), true), "");
+}
+
 TEST(PriorOfCloud, HiddenPointsAreLeftOut) {
   const auto is_front = [](double u, double) { return u < 60; };
   const Depth front = [](double, double) { return distance_mm; };
@@ -293,6 +316,25 @@ TEST(PriorOfCloud, ReportsNormalsThatPointInwards) {
                        (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, 1)).cast<float>());
   expect_error(
       ErrorCode::data, [&] { project(cloud); }, "500 facing away", "normals point away from the camera");
+  // Points that the station does not see say nothing about the normals.
+  const Eigen::Vector3d beside = test_pose().world_from_cam(distance_mm * test_camera().ray(1000, 45));
+  cloud.points.resize(2000, beside);
+  cloud.normals.resize(2000, cloud.normals.front());
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "1500 outside the image", "normals point away from the camera");
+}
+
+TEST(PriorOfCloud, ReportsNormalsThatPointInwardsOfAnObjectWithABack) {
+  const Eigen::Vector3f towards = (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, -1)).cast<float>();
+  PointCloud cloud = sample(plane_depth, 2000, 0.1);
+  cloud.normals.assign(cloud.points.size(), -towards);
+  PointCloud back = sample([](double u, double v) { return plane_depth(u, v) + 60 * gsd_mm; }, 2000, 0.1, 5);
+  back.normals.assign(back.points.size(), towards);
+  add(cloud, back);
+  expect_error(
+      ErrorCode::data, [&] { project(cloud); }, "2000 of 4000", "face away", "normals point away from the camera");
+  for (Eigen::Vector3f& normal : cloud.normals) normal = -normal;
+  EXPECT_LT(rms_gsd(project(cloud).depth, plane_depth), 0.1);
 }
 
 TEST(PriorOfCloud, IsNaNOutsideTheMaskOnly) {
@@ -370,6 +412,8 @@ TEST(PriorOfCloud, RejectsUnusableInput) {
   options.neighbors = 1;
   expect_error(
       ErrorCode::input, [&] { project(cloud, options); }, "prior.neighbors = 1");
+  expect_error(
+      ErrorCode::data, [] { project(sample(plane_depth, 20, 0)); }, "20 of 20 points are visible", "too few points");
   Pose pose = test_pose();
   pose.translation.x() = std::numeric_limits<double>::infinity();
   expect_error(ErrorCode::input, [&] { project_prior(cloud, test_camera(), pose, full_mask(), {}, {}); });
@@ -608,6 +652,8 @@ TEST(PriorOfDepthMap, FillsHolesWithTheShapeItWasMeasuredAbout) {
 
 TEST(PriorOfDepthMap, RejectsOtherSizesAndEmptyMaps) {
   expect_error(ErrorCode::input, [] { project(Image<float>({10, 10}, 1, 400.0F)); });
+  expect_error(
+      ErrorCode::input, [] { project(Image<float>(test_camera().size, 3, 400.0F)); }, "has 3 channels, expected 1");
   expect_error(ErrorCode::data, [] { project(Image<float>(test_camera().size)); });
 }
 

@@ -154,6 +154,10 @@ TEST(Dem, FileHoldsTheRaster) {
   const std::string bytes = read_file(folder / "dem.tif", "dem");
   EXPECT_NE(bytes.find("WORLD_X_AXIS"), std::string::npos);
   EXPECT_NE(bytes.find("ball <a & b>: plane"), std::string::npos);
+  Dem in_a_grid = dem;
+  in_a_grid.origin = {5432123456.789, 432123456.125, 90.5};
+  write_dem(folder / "grid.tif", in_a_grid, length_unit("mm"), "ball");
+  EXPECT_NE(read_file(folder / "grid.tif", "dem").find(">5432123456.789 432123456.125 90.5<"), std::string::npos);
   EXPECT_THROW(length_unit("furlong"), Error);
 }
 

@@ -579,9 +579,11 @@ async function setPoint([x, y]) {
 // Reads lines "name X Y Z", as instruments and spreadsheets write them. A known name gets new coordinates.
 async function takeCoordinates(text) {
   const read = text.split('\n').map((row) => row.trim()).filter(Boolean).map((line) => {
+    const columns = line.split(/[;\s]+/);
+    const decimalCommas = columns.length > 2 && columns.some((column) => /^[-+]?\d+,\d+$/.test(column));
     const [name, ...xyz] = line.split(/[;,\s]+/);
     const numbers = xyz.map(Number);
-    if (numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z with decimal points.`);
+    if (decimalCommas || numbers.length !== 3 || !numbers.every(Number.isFinite)) throw new Error(`“${line}” is not a name and three numbers X Y Z with decimal points.`);
     return { name, xyz: numbers };
   });
   const all = entries('control');

@@ -12,7 +12,8 @@ const STATES = { waiting: 'waiting for its turn', running: 'running', done: 'don
 let tickedFor;  // the station that was open when stations were ticked; when another one is opened, only that one is ticked
 
 export async function showRuns() {
-  const { stations } = await ask('candidates');
+  const { stations, note } = await ask('candidates');
+  if (note) say(note);
   form.hidden = !stations.length;
   const typed = Object.fromEntries(rows().map((row) => [row.dataset.station, row.querySelector('[name=work]').value]));
   const open = state.station?.path ?? stations[0];

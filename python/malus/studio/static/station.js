@@ -12,6 +12,7 @@ let modelImages = [];
 export async function showStation() {
   byId('plan').textContent = 'Reading the file …';
   candidates = await ask('candidates');
+  if (candidates.note) say(candidates.note);
   await draw();
 }
 

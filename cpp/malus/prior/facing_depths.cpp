@@ -1,0 +1,53 @@
+#include "malus/prior/facing_depths_internal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+namespace malus {
+namespace {
+
+constexpr int cells_per_side = 64;
+constexpr float no_point = std::numeric_limits<float>::infinity();
+
+}  // namespace
+
+FacingDepths::FacingDepths(Size size)
+    : cell_px_((std::max(size.width, size.height) + cells_per_side - 1) / cells_per_side),
+      columns_((size.width + cell_px_ - 1) / cell_px_) {
+  const int rows = (size.height + cell_px_ - 1) / cell_px_;
+  facing_.assign(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows), no_point);
+  away_ = facing_;
+}
+
+void FacingDepths::add(int u, int v, double depth, bool faces) {
+  const auto cell = static_cast<std::size_t>(v / cell_px_ * columns_ + u / cell_px_);
+  float& nearest = (faces ? facing_ : away_)[cell];
+  nearest = std::min(nearest, static_cast<float>(depth));
+}
+
+void FacingDepths::add(const FacingDepths& other) {
+  for (std::size_t i = 0; i < facing_.size(); ++i) {
+    facing_[i] = std::min(facing_[i], other.facing_[i]);
+    away_[i] = std::min(away_[i], other.away_[i]);
+  }
+}
+
+bool FacingDepths::are_reversed(double focal) const {
+  // Within a cell a surface that is steeper than 75 degrees rises by this many GSD a pixel.
+  constexpr double steepest = 4;
+  // Stray points face anywhere and lie anywhere, but only in few cells.
+  constexpr double mostly = 0.7, least_share = 0.25;
+  double facing = 0, both = 0, reversed = 0;
+  for (std::size_t i = 0; i < facing_.size(); ++i) {
+    if (!std::isfinite(facing_[i])) continue;
+    ++facing;
+    if (!std::isfinite(away_[i])) continue;
+    ++both;
+    reversed += focal * (facing_[i] - away_[i]) / facing_[i] > steepest * cell_px_;
+  }
+  return reversed > mostly * both && reversed > least_share * facing;
+}
+
+}  // namespace malus

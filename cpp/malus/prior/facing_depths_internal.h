@@ -1,0 +1,29 @@
+#pragma once
+
+#include <vector>
+
+#include "malus/core/image.h"
+
+namespace malus {
+
+/// Depths of the nearest points in each cell of an image, of the points that face the camera and of those that face
+/// away.
+///
+/// The front of an object hides its back. If the normals point inwards, the front faces away and the back seems to face
+/// the camera, so that the back would pass for the visible surface.
+class FacingDepths {
+ public:
+  explicit FacingDepths(Size size);
+
+  /// Adds a point at the pixel (u, v) of the image.
+  void add(int u, int v, double depth, bool faces);
+  void add(const FacingDepths& other);
+  /// Whether points that face away lie in front of those that face the camera nearly everywhere. `focal`: in pixels.
+  bool are_reversed(double focal) const;
+
+ private:
+  int cell_px_ = 1, columns_ = 1;
+  std::vector<float> facing_, away_;  ///< of each cell; infinite = no point
+};
+
+}  // namespace malus

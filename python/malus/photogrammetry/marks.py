@@ -1,0 +1,40 @@
+"""Whether the marks of known distances and control points lie in their photos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from malus.errors import InputError
+from malus.photogrammetry.photos import Photo
+
+
+def _marks(said: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """All marks in photos, each with the name of its table."""
+    for number, bar in enumerate(said["scale"], 1):
+        for mark in [*bar["a"], *bar["b"]]:
+            yield f"[[scale]] {number}", mark
+    for point in said["control"]:
+        for mark in point["marks"]:
+            yield f"[[control]] {point['name']}", mark
+
+
+def require_marks_in_photos(said: Mapping[str, Any], photos: Sequence[Photo]) -> None:
+    """Check the marks of `Station.describe` before hours go into matching the photos.
+
+    Raises InputError for a mark outside of its photo, as it is measured by programs that turn photos by their EXIF entry.
+    """
+    of_name = {photo.name: photo for photo in photos}
+    for table, mark in _marks(said):
+        photo = of_name.get(mark["image"])
+        if photo is None:
+            continue
+        x, y = mark["x"], mark["y"]
+        if -0.5 <= x <= photo.width - 0.5 and -0.5 <= y <= photo.height - 0.5:
+            continue
+        turned = x <= photo.height - 0.5 and y <= photo.width - 0.5
+        raise InputError(
+            f"{said['path']}: {table}: its mark x = {x:g}, y = {y:g} lies outside of {photo.name}, which has "
+            f"{photo.width} x {photo.height} pixels"
+            + ("; EXIF orientation is ignored: mark the photo as its pixels are stored" if turned else "")
+        )
