@@ -1,9 +1,9 @@
-#include "malus/prior/facing_depths_internal.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <limits>
+
+#include "malus/prior/facing_depths_internal.h"
 
 namespace malus {
 namespace {

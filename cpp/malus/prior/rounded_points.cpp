@@ -1,5 +1,3 @@
-#include "malus/prior/rounded_points_internal.h"
-
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -7,6 +5,7 @@
 #include <vector>
 
 #include "malus/core/median_internal.h"
+#include "malus/prior/rounded_points_internal.h"
 
 namespace malus {
 
