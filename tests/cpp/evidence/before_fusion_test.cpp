@@ -62,6 +62,20 @@ TEST(PhaseAgreement, ReportsWhenThePhaseCannotBeChecked) {
   EXPECT_NE(weak.finding.message.find("too little polarization"), std::string::npos) << weak.finding.text();
 }
 
+TEST(PhaseAgreement, CannotBeCheckedOnTwoSmallIslands) {
+  EvidenceScene scene;
+  const auto is_left = [](int u, int v) { return std::hypot(u - 70, v - 70) < 5; };
+  const auto is_right = [](int u, int v) { return std::hypot(u - 230, v - 150) < 5; };
+  for (int v = 0; v < scene.object.height(); ++v) {
+    for (int u = 0; u < scene.object.width(); ++u) {
+      if (!is_left(u, v) && !is_right(u, v)) scene.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+    }
+  }
+  const PhaseAgreement found = phase_agreement(scene.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(found.finding.severity, Severity::note);
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.text();
+}
+
 TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   const Pinhole camera{{1000, 800}, 2000, 2000, 500, 400};
   const auto size_of = [&](double width, double distance, const std::string& unit) {
