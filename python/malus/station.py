@@ -133,9 +133,9 @@ class Station:
         images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; digital numbers
         of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
-        a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera),
-        prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. The polarization maps
-        and the height from them need no prior; everything else does.
+        a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
+        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
+        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
         prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object.
         refractive_index None means "auto".
 
