@@ -115,6 +115,28 @@ TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   EXPECT_THROW(object_size({}, camera, "mm"), Error);
 }
 
+TEST(ObjectSize, APartCutFromAnImageHasThatImagesAngleOfView) {
+  const std::vector<Eigen::Vector3d> points{{0, 0, 400}, {1, 1, 400}, {3, 2, 400}};
+  const auto severity_of = [&](double cx) {
+    const Pinhole part{{260, 200}, 53000, 53000, cx, 100};
+    return object_size(points, part, "mm").finding.severity;
+  };
+  EXPECT_EQ(severity_of(130), Severity::warning) << "0.28°";
+  EXPECT_EQ(severity_of(1900), Severity::note) << "cut from the left of an image of 4 degrees";
+  EXPECT_EQ(severity_of(-1600), Severity::note);
+}
+
+TEST(ObjectSize, WarnsOfDepthsTooCoarseForNormals) {
+  const auto found = [](double focal) {
+    const Pinhole wide{{14000, 9000}, focal, focal, 7000, 4500};
+    return object_size({{0, 0, 3000}, {10, 8, 3001}, {30, 3, 3002}}, wide, "mm").finding;
+  };
+  EXPECT_EQ(found(2e5).severity, Severity::note) << found(2e5).text();
+  const Finding coarse = found(2e6);
+  EXPECT_EQ(coarse.severity, Severity::caution) << coarse.text();
+  EXPECT_NE(coarse.message.find("2000000"), std::string::npos) << coarse.message;
+}
+
 TEST(BeforeFusion, ListsAllFindings) {
   const EvidenceScene scene;
   const auto findings = findings_before_fusion(
