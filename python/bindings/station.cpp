@@ -28,8 +28,8 @@ namespace malus::python {
 namespace {
 
 /// A station from arrays. `tables`: JSON, see read_given_station.
-Station station_from_arrays(std::vector<Image<float>>& images, const CameraValues& camera, const std::string& tables,
-                            const std::optional<Array<double>>& prior_points,
+Station station_from_arrays(std::vector<Image<float>>& images, bool whole_numbers, const CameraValues& camera,
+                            const std::string& tables, const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
                             const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask) {
   Station station;
@@ -37,6 +37,7 @@ Station station_from_arrays(std::vector<Image<float>>& images, const CameraValue
   station.file = read_given_station(tables, images.size(), CameraSpec{lens, pose}, prior_points || prior_depth);
   if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
   station.images = std::move(images);
+  station.whole_numbers = whole_numbers;
   if (prior_points) station.prior = to_cloud(*prior_points, prior_normals);
   if (prior_depth) station.prior = *prior_depth;
   station.mask = mask;
@@ -171,9 +172,9 @@ void bind_run(py::module_& module) {
 
   py::class_<Station>(module, "Station")
       .def_static("load", [](const std::string& path) { return Station::load(path); })
-      .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("camera"),
-                  py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"), py::arg("prior_depth"),
-                  py::arg("mask"))
+      .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
+                  py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
+                  py::arg("prior_depth"), py::arg("mask"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))

@@ -49,6 +49,7 @@ class Station:
     def from_arrays(
         *,
         images: Sequence[_Float32],
+        whole_numbers: bool,
         camera: _CameraValues,
         tables: str,
         prior_points: _Float64 | None,

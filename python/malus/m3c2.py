@@ -118,11 +118,13 @@ def spread_out(core: NDArray[np.float64], step: int, shape: tuple[int, ...]) -> 
 
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
     known = np.isfinite(found)
+    # A cylinder with too few points has no scatter, and so no limit: whether its distance is significant cannot be said.
+    limited = known & np.isfinite(detectable)
     values = found[known] / gsd
     spread = float(np.percentile(np.abs(values), 99)) or 1.0
     counts, edges = np.histogram(values, _BINS, (-spread, spread))
-    limit = detectable[known & np.isfinite(detectable)] / gsd
-    significant = np.abs(found) > detectable
+    limit = detectable[limited] / gsd
+    significant = np.abs(found[limited]) > detectable[limited]
     median = float(np.median(values))
     return {
         "compared_fraction": float(known.mean()),
@@ -136,7 +138,7 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
             "p95": float(np.percentile(values, 95)),
         },
         "detection_limit_median_gsd": float(np.median(limit)) if limit.size else None,
-        "significant_fraction": float(significant[known].mean()),
+        "significant_fraction": float(significant.mean()) if limit.size else None,
         "histogram_gsd": {
             "low": -spread,
             "bin_width": float(edges[1] - edges[0]),

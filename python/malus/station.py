@@ -131,11 +131,11 @@ class Station:
         """Build a station in code.
 
         images: K arrays H×W or, in color, H×W×3, by default linear intensities in [0, 1] of the white level; digital numbers
-        of any type need polarized={"white_level": …}. angles_deg: K polarizer angles, counter-clockwise from image +x as
-        displayed; "auto" if they are not known; None with a mosaic, which states the angles itself. Give at most one
-        prior: prior_points (N×3, world frame, in `unit`) with or without prior_normals (N×3, towards the camera),
-        prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. The polarization maps
-        and the height from them need no prior; everything else does.
+        of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
+        angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
+        a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
+        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
+        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
         prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object.
         refractive_index None means "auto".
 
@@ -171,8 +171,10 @@ class Station:
             "profile": profiles,
             "scale": scale,
         }
+        has_white = (polarized or {}).get("white_level") is not None
         self._core = _core.Station.from_arrays(
             images=stack,
+            whole_numbers=has_white and all(np.asarray(image).dtype.kind in "iu" for image in images),
             camera=camera.values(),
             tables=json.dumps(_plain(tables, "station: ")),
             prior_points=points,
@@ -180,7 +182,7 @@ class Station:
             prior_depth=depth,
             mask=None if mask is None else as_mask(mask, shape),
         )
-        if (polarized or {}).get("white_level") is None:
+        if not has_white:
             require_shares(stack, "images", "their polarized.white_level")
 
     @classmethod

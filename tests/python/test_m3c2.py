@@ -84,6 +84,15 @@ def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
         assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 1
 
 
+def test_distances_without_a_limit_are_not_called_insignificant() -> None:
+    """They counted as below their limit, although a cylinder with too few points has none."""
+    found, limits = np.array([2.0, 0.1, 3.0, 4.0, np.nan]), np.array([1.0, 1.0, np.nan, np.nan, np.nan])
+    figures = m3c2._summary(found, limits, 1.0)
+    assert figures["significant_fraction"] == 0.5
+    assert figures["compared_fraction"] == 0.8 and figures["distance_gsd"]["count"] == 4
+    assert m3c2._summary(found, np.full(5, np.nan), 1.0)["significant_fraction"] is None
+
+
 def test_m3c2_without_a_reference_is_refused(small_station: Path, tmp_path: Path) -> None:
     outcome = run_malus("assess", small_station, "-o", tmp_path / "work", "--m3c2")
     assert outcome.code == 2 and "--reference" in outcome.err

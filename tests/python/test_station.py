@@ -98,9 +98,11 @@ def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
 
 
-def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [np.uint8, np.float32])
+def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], tmp_path: Path, kind: type) -> None:
+    pictures = [picture.astype(kind) for picture in pictures]
     for k, picture in enumerate(pictures):
-        tifffile.imwrite(tmp_path / f"{k}.tif", picture.astype(np.float32), photometric="rgb")
+        tifffile.imwrite(tmp_path / f"{k}.tif", picture, photometric="rgb")
     (tmp_path / "station.toml").write_text(FILE)
     of_file, of_arrays = malus.Station.load(tmp_path / "station.toml"), in_memory(pictures)
     described = of_file.describe()
@@ -108,10 +110,17 @@ def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], t
         del described[key]
     assert of_arrays.describe().items() >= described.items()
     options = malus.Options(capture={"registration": "off"})
-    expected, found = (malus.reconstruct(s, options, until="polarization", threads=1) for s in (of_file, of_arrays))
+    works = [tmp_path / "of_file", tmp_path / "of_arrays"]
+    expected, found = (
+        malus.reconstruct(station, options, until="polarization", threads=1, workspace=work)
+        for station, work in zip((of_file, of_arrays), works, strict=True)
+    )
     for name in ("unpolarized", "degree", "phase_rad"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     assert np.isfinite(found.unpolarized).mean() > 0.9
+    # The numbers of 8 bits are rounded, whether they come from a file or not.
+    noises = [malus.Workspace(work).manifest["steps"]["polarization"]["notes"]["noise"] for work in works]
+    assert noises[0] == noises[1] and (noises[0]["quantization"] > 0) == (kind is np.uint8)
 
 
 def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Path) -> None:

@@ -16,6 +16,9 @@ struct Foot {
   double signed_distance = 0;  ///< positive outside
   /// The point lies beside the reference, beyond its border: the distance is not one in front of it or behind it.
   bool is_beside = false;
+  /// Of a cloud: scatter of the nearest points across their plane relative to that along it, as a ratio of variances.
+  /// Near 1 the plane has no direction. 0 of a mesh.
+  double thickness = 0;
 };
 
 /// A reference surface to measure distances from: a mesh, or a cloud if it has no triangles.

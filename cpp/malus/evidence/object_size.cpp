@@ -20,6 +20,8 @@ constexpr double smallest_m = 1e-3, largest_m = 100, nearest_m = 5e-3, farthest_
 /// Range of sizes and distances that are usual in front of a camera.
 constexpr double usual_smallest_m = 5e-3, usual_largest_m = 20;
 constexpr double narrowest_deg = 0.3, widest_deg = 140;
+/// Turn of the normals by the rounding of depths from which the finding is a caution: the error of the best normals.
+constexpr double largest_rounding_deg = 0.5;
 
 /// A length with three digits in a unit that suits it.
 std::string in_words(double metres) {
@@ -66,6 +68,23 @@ bool is_likely(double width_m, double distance_m) {
   return width_m >= smallest_m && width_m <= largest_m && distance_m >= nearest_m && distance_m <= farthest_m;
 }
 
+/// Angle of view [degrees] of the whole image that this one is cut from, at least: it reached as far on the other side
+/// of the principal point.
+double least_uncut_view_deg(const Pinhole& camera) {
+  const double half_u = std::max(camera.cx + 0.5, camera.size.width - 0.5 - camera.cx) / camera.fx;
+  const double half_v = std::max(camera.cy + 0.5, camera.size.height - 0.5 - camera.cy) / camera.fy;
+  return 2 * std::atan(std::max(half_u, half_v)) * 180 / std::numbers::pi;
+}
+
+/// Median angle [degrees] by which normals turn if depths are rounded to single precision. A normal's slopes are
+/// differences of two depths over two pixels, and the rounding error is uniform over one step.
+double turn_by_rounding_deg(double depth, double gsd) {
+  const auto rounded = static_cast<float>(depth);
+  const double step = std::nextafter(rounded, std::numeric_limits<float>::max()) - rounded;
+  const double slope_sigma = step / gsd / std::sqrt(24.0);
+  return std::sqrt(2 * std::numbers::ln2) * slope_sigma * 180 / std::numbers::pi;
+}
+
 /// A unit in which size and distance would be usual, millimeters and meters first.
 std::optional<std::string> likelier_unit(double width, double distance, const std::string& unit) {
   for (const char* const name : {"mm", "m", "cm", "um"}) {
@@ -106,13 +125,23 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
     finding.message += ": that is unlikely";
     finding.suggestion = other ? "is unit = \"" + *other + "\" meant instead of \"" + unit + "\"?"
                                : "are the units of cloud and camera right?";
-  } else if (view_deg < narrowest_deg || view_deg > widest_deg) {
+  } else if (least_uncut_view_deg(camera) < narrowest_deg || view_deg > widest_deg) {
     finding.severity = Severity::warning;
     std::ostringstream text;
     text.precision(3);
     text << ": that is seen at an angle of view of " << view_deg << "°, which no usual lens has";
     finding.message += text.str();
     finding.suggestion = "is the focal length of [camera] in pixels of these images?";
+  } else if (const double turn_deg = turn_by_rounding_deg(size.distance, size.gsd); turn_deg > largest_rounding_deg) {
+    finding.severity = Severity::caution;
+    std::ostringstream text;
+    text.precision(2);
+    text << ": depths of that many pixels (" << std::lround(camera.focal())
+         << ", the focal length) are rounded so much in single precision that normals turn by " << turn_deg << "°";
+    finding.message += text.str();
+    finding.suggestion =
+        "can the images be reduced, or [camera] of a telecentric lens be given nearer, with a focal length "
+        "shorter by the same factor?";
   }
   return size;
 }

@@ -66,7 +66,8 @@ Finding finding_of(PhaseAgreement& agreement) {
     finding.suggestion = "is angle_zero_deg right, or is the prior turned in the image?";
     return finding;
   }
-  if (knows_direction(overall) || overall.direct > weak_coherence + 2 * overall.direct_sigma) {
+  const bool has_scatter = overall.direct_sigma > 0;
+  if (knows_direction(overall) || (has_scatter && overall.direct > weak_coherence + 2 * overall.direct_sigma)) {
     text << "the polarization fits the slopes of the prior: correlation " << overall.direct << " ± "
          << overall.direct_sigma;
     finding.message = text.str();
@@ -77,6 +78,8 @@ Finding finding_of(PhaseAgreement& agreement) {
     unknown = "the prior is too flat";
   else if (overall.phases_known < known_enough)
     unknown = "there is too little polarization for the noise";
+  else if (!has_scatter)
+    unknown = "the object's pixels lie in too few places";
   else if (overall.cells < min_cells)
     unknown = "there are too few pixels";
   else if (overall.direct > weak_coherence)

@@ -13,6 +13,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
+#include "malus/fusion/ceres_outcome_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
@@ -93,6 +94,9 @@ struct Box {
   int u0, v0, u1, v1;  // ends are excluded
 };
 
+/// How the solution of a tile ended. An unsolved tile keeps the surface that it started from.
+enum class TileOutcome { converged, still_changing, unsolved };
+
 /// One tile of the problem.
 class Tile {
  public:
@@ -111,12 +115,11 @@ class Tile {
       for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
   }
 
-  /// Solves the tile; returns whether it converged.
-  bool solve() {
+  TileOutcome solve() {
     for (int v = box_.v0; v < box_.v1; ++v)
       for (int u = box_.u0; u < box_.u1; ++u) add_equations(u, v);
     if (options_.prior_weight > 0) add_cells();
-    if (problem_.NumResidualBlocks() == 0) return true;
+    if (problem_.NumResidualBlocks() == 0) return TileOutcome::converged;
     keep_unreached();
     hold_surroundings();
     ceres::Solver::Options how;
@@ -128,7 +131,8 @@ class Tile {
     ceres::Solver::Summary summary;
     const SequentialBlas sequential;  // tiles are the unit of parallelism
     ceres::Solve(how, &problem_, &summary);
-    return summary.termination_type == ceres::CONVERGENCE;
+    if (!has_solution(summary, "optimize.enabled")) return TileOutcome::unsolved;
+    return summary.termination_type == ceres::CONVERGENCE ? TileOutcome::converged : TileOutcome::still_changing;
   }
 
   double value(int u, int v) const { return values_[index(u, v)]; }
@@ -255,9 +259,14 @@ void validate(const FusedSurface& surface, const OptimizeInput& input, const Opt
                       ": wider cells take too much memory");
 }
 
-/// Heights of all tiles, blended across their cuts. `unfinished` counts the tiles that did not converge.
+/// Numbers of tiles by their outcome.
+struct TileCounts {
+  int all = 0, still_changing = 0, unsolved = 0;
+};
+
+/// Heights of all tiles, blended across their cuts.
 Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
-                         const OptimizeInput& input, const OptimizeOptions& options, int& unfinished,
+                         const OptimizeInput& input, const OptimizeOptions& options, TileCounts& counts,
                          const Context& context) {
   const auto axis = [](int extent) {
     return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
@@ -266,7 +275,8 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
   const int tiles = columns.tiles() * rows.tiles();
   Image<float> result(heights.size(), 1, 0.0F);
   std::vector<std::unique_ptr<Tile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
-  std::vector<char> converged(group.size());
+  std::vector<TileOutcome> outcomes(group.size());
+  counts.all = tiles;
   for (int first = 0; first < tiles; first += static_cast<int>(group.size())) {
     context.check_cancel();
     context.progress("fuse", 0.2 + 0.8 * first / tiles, "all equations together");
@@ -279,7 +289,7 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
       group[i].reset();
       if (tile >= tiles) return;
       group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, box_of(tile));
-      converged[i] = group[i]->solve() ? 1 : 0;
+      outcomes[i] = group[i]->solve();
     });
     for (std::size_t i = 0; i < group.size(); ++i) {
       if (!group[i]) continue;
@@ -291,7 +301,8 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
           if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
         }
       }
-      unfinished += converged[i] == 0 ? 1 : 0;
+      counts.still_changing += outcomes[i] == TileOutcome::still_changing ? 1 : 0;
+      counts.unsolved += outcomes[i] == TileOutcome::unsolved ? 1 : 0;
     }
   }
   return result;
@@ -323,21 +334,27 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
     return heights;
   };
   const Image<float> start = heights_of(surface.depth), prior = heights_of(input.prior.depth);
-  int unfinished = 0;
-  const Image<float> heights = solve_tiles(start, prior, rays, input, options, unfinished, context);
+  TileCounts counts;
+  const Image<float> heights = solve_tiles(start, prior, rays, input, options, counts, context);
   for (std::size_t i = 0; i < heights.count(); ++i) {
     if (!std::isfinite(start[i])) continue;
     const double h = heights[i];
     surface.depth[i] = static_cast<float>(input.perspective ? origin * std::exp(-h / focal) : origin * (1 - h / focal));
   }
   surface.normals = normals_from_depth(surface.depth, camera, context);
-  surface.status = unfinished == 0 ? FusionStatus::converged : FusionStatus::iteration_limit;
+  surface.status = counts.unsolved > 0         ? FusionStatus::not_converged
+                   : counts.still_changing > 0 ? FusionStatus::iteration_limit
+                                               : FusionStatus::converged;
   // The caution of the grid transfer (Eq 16) no longer applies; the equations' assumptions are as untested as before.
   surface.confidence = {};
   surface.confidence.limit(ConfidenceLevel::partial,
                            "All equations of the paper count alike: light, albedo and reflection that are not what "
                            "they suppose are taken for shape, and nothing tells where.");
-  if (unfinished > 0)
+  if (counts.unsolved > 0)
+    surface.warnings.push_back("The equations could not be solved together in " + std::to_string(counts.unsolved) +
+                               " of " + std::to_string(counts.all) +
+                               " parts of the image: the surface there is that of the grid transfer.");
+  if (counts.still_changing > 0)
     surface.warnings.push_back(
         "The surface was still changing when the solution of all equations together ended, after optimize.iterations "
         "= " +

@@ -32,9 +32,10 @@ struct OptimizeInput {
 ///   prior         a tenth of the difference of both slopes to the prior's, as the three above are bounded (decision
 ///   45);
 /// and for each cell of the grid the mean difference to the prior. Tiles of 256 px, whose neighborhood is held fixed,
-/// bound the memory. Depth and normals of the surface are replaced. Its status is "converged" if all tiles converged,
-/// else "iteration limit". Throws an input error for rasters of another size, if there is no light, or for cells wider
-/// than 32 px, whose means take too much memory.
+/// bound the memory. Depth and normals of the surface are replaced; sigma stays that of the grid transfer. Its status
+/// is "converged" if all tiles converged, "not converged" if some could not be solved, else "iteration limit". Throws
+/// an input error for rasters of another size, if there is no light, or for cells wider than 32 px, whose means take
+/// too much memory; a resource error if the linear solver gets no memory.
 void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, const OptimizeOptions& options,
                            const Context& context);
 

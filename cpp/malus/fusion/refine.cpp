@@ -687,7 +687,7 @@ class Refiner {
     const double change = blended.replace(image_.x, image_.object, context_);
     report_.iterations.push_back({binning_, searching_, statistics.cost_before, statistics.cost_after,
                                   quality.robust_cost, quality.median_residual, change, statistics.rejected_steps,
-                                  statistics.tiles, seconds_since(start)});
+                                  statistics.failed_tiles, statistics.tiles, seconds_since(start)});
   }
 
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {

@@ -34,7 +34,8 @@ struct RefineIteration {
   double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
   double change_gsd = 0;                   ///< RMS change of depth
   int rejected_steps = 0;
-  int tiles = 0;  ///< that hold a part of the object, out of RefineReport::tiles
+  int failed_tiles = 0;  ///< whose equations could not be solved: their surface is that of the round before
+  int tiles = 0;         ///< that hold a part of the object, out of RefineReport::tiles
   double seconds = 0;
 };
 

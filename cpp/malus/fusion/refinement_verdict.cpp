@@ -31,6 +31,9 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   std::string problem;
   if (last.rejected_steps >= many_rejections * last.tiles) {
     problem = "The refinement found no better surface than the prior in most of the image.";
+  } else if (last.failed_tiles > 0) {
+    problem = "The refinement could not solve its equations in " + std::to_string(last.failed_tiles) + " of " +
+              std::to_string(last.tiles) + " parts of the image: the surface there is that of an earlier round.";
   } else if (!has_settled(report)) {
     problem = "The refined surface was still changing when the refinement ended, by " +
               with_digits(last.change_gsd, 2) + " GSD in the last round.";

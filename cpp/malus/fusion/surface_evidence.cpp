@@ -80,7 +80,7 @@ Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& c
 }
 
 ExplainedByResult::ExplainedByResult(Size image)
-    : shares_(cells_over(image, ExplainedPolarization::cell_px)), weights_(shares_.size()) {}
+    : shares_(cells_over(image, ExplainedPolarization::cell_px)), pixels_(shares_.size()) {}
 
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
@@ -104,14 +104,20 @@ void ExplainedByResult::add(const RefinementField& part, RowRange rows, int firs
         }
       }
       if (rests.size() < fewest) continue;
-      shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
-      weights_(column, row) = 1;
+      const auto share = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
+      // Two parts can share a row of cells: each of them then counts by its pixels.
+      const float before = pixels_(column, row), here = static_cast<float>(rests.size());
+      float& mean = shares_(column, row);
+      mean = before > 0 ? (before * mean + here * share) / (before + here) : share;
+      pixels_(column, row) = before + here;
     }
   });
 }
 
 Image<float> ExplainedByResult::shares(const Context& context) const {
-  return pooled(shares_, weights_, fill_cells, context);
+  Image<float> weights(pixels_.size());
+  for (std::size_t i = 0; i < weights.count(); ++i) weights[i] = pixels_[i] > 0 ? 1.0F : 0.0F;
+  return pooled(shares_, weights, fill_cells, context);
 }
 
 void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, double length_px, const Context& context) {

@@ -43,8 +43,9 @@ class ExplainedPolarization {
 /// How much of the polarization the reflection model explains at the *refined* surface, cell by cell of 16 px.
 ///
 /// Each pixel has two Stokes components but only one depth, so that a surface cannot take up all errors of a model. The
-/// share of a cell is 1 − median |r| / median |s| over its pixels. A share near one means that the model held while the
-/// surface moved. A share of a half means that the model is wrong and the slopes took up what they could of its errors.
+/// share of a cell is 1 − median |r| / median |s| over its pixels; of a cell that two parts share, the mean of both
+/// parts' shares. A share near one means that the model held while the surface moved. A share of a half means that the
+/// model is wrong and the slopes took up what they could of its errors.
 class ExplainedByResult {
  public:
   explicit ExplainedByResult(Size image);
@@ -56,7 +57,7 @@ class ExplainedByResult {
   Image<float> shares(const Context& context) const;
 
  private:
-  Image<float> shares_, weights_;
+  Image<float> shares_, pixels_;  ///< of each cell; pixels: how many its share is the mean of
 };
 
 /// Adds the low frequencies (Gaussian of `length_px`) of prior − surface to the surface. Errors of a reflection model

@@ -6,8 +6,10 @@
 #include <mutex>
 #include <numeric>
 #include <span>
+#include <string>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/fusion/ceres_outcome_internal.h"
 #include "malus/fusion/quad_costs_internal.h"
 #include "malus/fusion/tile_solver_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
@@ -79,7 +81,10 @@ class TileProblem {
     statistics.cost_after = summary.initial_cost - stop.cost_change();
     statistics.iterations = static_cast<int>(summary.iterations.size()) - 1;
     statistics.rejected_steps = summary.num_unsuccessful_steps;
-    statistics.failed_tiles = summary.IsSolutionUsable() ? 0 : 1;
+    statistics.failed_tiles =
+        has_solution(summary, "refinement of a tile of " + std::to_string(unknowns_) + " unknowns (refine.tile_px)")
+            ? 0
+            : 1;
     statistics.solver_seconds = summary.total_time_in_seconds;
     statistics.linear_solver_seconds = summary.linear_solver_time_in_seconds;
     return statistics;

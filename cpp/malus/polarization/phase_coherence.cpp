@@ -13,6 +13,9 @@ using Complex = std::complex<double>;
 
 constexpr int parts_per_side = 8;
 constexpr double min_ahead = 3, min_ahead_to_contradict = 4, min_coherence = 0.3;
+/// The scatter over fewer parts, as of two or three small islands, is small by chance too often: with two, one ratio in
+/// five exceeds three standard deviations.
+constexpr std::size_t fewest_parts = 4;
 
 /// Weighted sums over cells; phases, azimuths and their products are of unit modulus.
 struct Sums {
@@ -98,7 +101,7 @@ PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells) {
   result.opposite = std::abs(all.opposite);
   result.turn_rad = std::arg(all.direct) / 4;
   result.opposite_turn_rad = std::arg(all.opposite) / 4;
-  if (directs.size() < 2) return result;
+  if (directs.size() < fewest_parts) return result;
   result.disagreement_sigma = jackknife_sigma(disagreements);
   result.direct_sigma = jackknife_sigma(directs);
   result.ahead_sigma = jackknife_sigma(aheads);

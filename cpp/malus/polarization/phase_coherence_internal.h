@@ -38,7 +38,8 @@ struct PhaseCoherence {
 /// variance is that of the phase from its noise plus that of the azimuth for slopes uncertain by 0.15. With the means
 /// removed the correlation is zero for unrelated data even where both have a preferred direction, such as the polarized
 /// light of a lamp on a curved panel. Standard deviations are those of a jackknife over 8 × 8 parts of the image, so
-/// that errors shared by neighboring cells do not make them too small.
+/// that errors shared by neighboring cells do not make them too small; they are 0, not known, if fewer than four parts
+/// have cells.
 PhaseCoherence phase_coherence(const std::vector<PhaseCell>& cells);
 
 /// Whether the data determine which way the scale counts. Required are a coherence of 0.3 and 3 standard deviations, or

@@ -47,7 +47,10 @@ CaptureInput make_capture_input(const Station& station) {
   input.lens = lens;
   input.mask = station.mask;
   for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
-  input.load = [&station](std::size_t k) { return RawImage{station.images[k], 32, true, 1.0}; };
+  input.load = [&station](std::size_t k) {
+    const bool whole = station.whole_numbers;
+    return RawImage{station.images[k], whole ? 16 : 32, !whole, 1.0};
+  };
   return input;
 }
 

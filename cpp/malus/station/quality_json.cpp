@@ -14,7 +14,8 @@ Json refine_report_json(const RefineReport& report) {
                           {"stokes_cost", i.stokes_cost},
                           {"median_residual", i.median_residual},
                           {"change_gsd", i.change_gsd},
-                          {"rejected_steps", i.rejected_steps}});
+                          {"rejected_steps", i.rejected_steps},
+                          {"failed_tiles", i.failed_tiles}});
   }
   // Only one of the two reflection models was used; fits of the other one do not belong to the result.
   Json light, lobe, environment, mirror, surroundings, metal;

@@ -34,6 +34,7 @@ struct Station {
 
   // Data given in memory replaces the files that `file` would name.
   std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one per polarizer position
+  bool whole_numbers = false;        ///< the images hold whole digital numbers; file.polarized states their white level
   std::optional<Mask> mask;
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;

@@ -227,6 +227,27 @@ TEST(Comparison, ReportsAReferenceOffsetFromTheSurface) {
   EXPECT_NE(said.find("--register"), std::string::npos) << said;
 }
 
+TEST(Comparison, ReportsAReferenceCloudWhoseNoiseExceedsItsSpacing) {
+  TriangleMesh clean = mesh_of(wavy(0));
+  clean.triangles.clear();
+  clean.vertices.normals.clear();
+  const auto compared = [&](double noise, std::string& said) {
+    std::mt19937_64 random(3);
+    std::normal_distribution<double> normal(0, noise);
+    TriangleMesh reference = clean;
+    for (Eigen::Vector3d& point : reference.vertices.points)
+      point += Eigen::Vector3d(normal(random), normal(random), normal(random));
+    Context context;
+    context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+    return compare_with_reference(wavy(gsd), reference, gsd, {}, context);
+  };
+  std::string of_fine, of_coarse;
+  EXPECT_NEAR(compared(0.1 * gsd, of_fine).distance_gsd.median, 0.93, 0.1);
+  EXPECT_TRUE(of_fine.empty()) << of_fine;
+  EXPECT_LT(compared(1.5 * gsd, of_coarse).distance_gsd.median, 0.7) << "the reason for the warning";
+  EXPECT_NE(of_coarse.find("more than half of their spacing"), std::string::npos) << of_coarse;
+}
+
 TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
   const FusedSurface surface = wavy(0);
   TriangleMesh reference = mesh_of(surface);

@@ -62,6 +62,20 @@ TEST(PhaseAgreement, ReportsWhenThePhaseCannotBeChecked) {
   EXPECT_NE(weak.finding.message.find("too little polarization"), std::string::npos) << weak.finding.text();
 }
 
+TEST(PhaseAgreement, CannotBeCheckedOnTwoSmallIslands) {
+  EvidenceScene scene;
+  const auto is_left = [](int u, int v) { return std::hypot(u - 70, v - 70) < 5; };
+  const auto is_right = [](int u, int v) { return std::hypot(u - 230, v - 150) < 5; };
+  for (int v = 0; v < scene.object.height(); ++v) {
+    for (int u = 0; u < scene.object.width(); ++u) {
+      if (!is_left(u, v) && !is_right(u, v)) scene.state.valid(u, v) = static_cast<std::uint8_t>(PixelState::outside);
+    }
+  }
+  const PhaseAgreement found = phase_agreement(scene.state, &scene.camera, scene.normals, {});
+  EXPECT_EQ(found.finding.severity, Severity::note);
+  EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos) << found.finding.text();
+}
+
 TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   const Pinhole camera{{1000, 800}, 2000, 2000, 500, 400};
   const auto size_of = [&](double width, double distance, const std::string& unit) {
@@ -99,6 +113,28 @@ TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   const ObjectSize narrow = object_size({{0, 0, 590}, {1, 1, 590}, {200, 3, 591}}, wrong_lens, "mm");
   EXPECT_NE(narrow.finding.suggestion.find("focal length"), std::string::npos) << narrow.finding.text();
   EXPECT_THROW(object_size({}, camera, "mm"), Error);
+}
+
+TEST(ObjectSize, APartCutFromAnImageHasThatImagesAngleOfView) {
+  const std::vector<Eigen::Vector3d> points{{0, 0, 400}, {1, 1, 400}, {3, 2, 400}};
+  const auto severity_of = [&](double cx) {
+    const Pinhole part{{260, 200}, 53000, 53000, cx, 100};
+    return object_size(points, part, "mm").finding.severity;
+  };
+  EXPECT_EQ(severity_of(130), Severity::warning) << "0.28°";
+  EXPECT_EQ(severity_of(1900), Severity::note) << "cut from the left of an image of 4 degrees";
+  EXPECT_EQ(severity_of(-1600), Severity::note);
+}
+
+TEST(ObjectSize, WarnsOfDepthsTooCoarseForNormals) {
+  const auto found = [](double focal) {
+    const Pinhole wide{{14000, 9000}, focal, focal, 7000, 4500};
+    return object_size({{0, 0, 3000}, {10, 8, 3001}, {30, 3, 3002}}, wide, "mm").finding;
+  };
+  EXPECT_EQ(found(2e5).severity, Severity::note) << found(2e5).text();
+  const Finding coarse = found(2e6);
+  EXPECT_EQ(coarse.severity, Severity::caution) << coarse.text();
+  EXPECT_NE(coarse.message.find("2000000"), std::string::npos) << coarse.message;
 }
 
 TEST(BeforeFusion, ListsAllFindings) {

@@ -2,9 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
+#include <string>
 
 #include "malus/core/error.h"
+#include "malus/fusion/ceres_outcome_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/ray_frame.h"
@@ -150,6 +153,30 @@ TEST(GridOptimization, ReportsTheIterationLimit) {
   EXPECT_EQ(after.status, FusionStatus::iteration_limit);
   ASSERT_EQ(after.warnings.size(), 1U);
   EXPECT_NE(after.warnings[0].find("still changing"), std::string::npos);
+}
+
+TEST(GridOptimization, SaysWhereTheEquationsCouldNotBeSolved) {
+  Scene scene;
+  scene.station.state.phi(30, 30) = std::numeric_limits<float>::quiet_NaN();
+  const FusedSurface after = scene.optimized({});
+  EXPECT_EQ(after.status, FusionStatus::not_converged);
+  ASSERT_EQ(after.warnings.size(), 1U);
+  EXPECT_NE(after.warnings[0].find("could not be solved"), std::string::npos) << after.warnings[0];
+  EXPECT_NEAR(after.depth(30, 30), scene.station.prior.depth(30, 30), 1e-3);
+}
+
+TEST(GridOptimization, LackOfMemoryInTheLinearSolverIsAnError) {
+  ceres::Solver::Summary summary;
+  summary.termination_type = ceres::FAILURE;
+  summary.message =
+      "Number of consecutive invalid steps more than Solver::Options::max_num_consecutive_invalid_steps: 3";
+  EXPECT_FALSE(has_solution(summary, "a tile"));
+  summary.message =
+      "Linear solver failed due to unrecoverable non-numeric causes. Please see the error log for clues. ";
+  expect_error(
+      ErrorCode::resource, [&] { has_solution(summary, "a tile"); }, "a tile: out of memory");
+  summary.termination_type = ceres::NO_CONVERGENCE;
+  EXPECT_TRUE(has_solution(summary, "a tile"));
 }
 
 TEST(GridOptimization, OneAndTwoThreadsAgree) {

@@ -67,6 +67,18 @@ TEST(Verdict, TilesWithoutTheObjectRejectNothing) {
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
 }
 
+TEST(Verdict, PartsThatCouldNotBeSolvedAreNotConverged) {
+  RefineReport report = good();
+  report.iterations[1].failed_tiles = 1;
+  const FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.status, FusionStatus::not_converged);
+  EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(mentions(surface.warnings, "in 1 of 2 parts"));
+  report = good();
+  report.iterations[2].failed_tiles = 1;
+  EXPECT_EQ(judged(report).status, FusionStatus::converged) << "the search for a second solution found none there";
+}
+
 TEST(Verdict, AnUnconvergedSurfaceThatKeptThePriorIsPartial) {
   RefineReport report = good();
   report.iterations[1].change_gsd = 1.23456789;

@@ -179,6 +179,22 @@ TEST(Evidence, ResidualsOfTheResultAreMediansOfEachCell) {
   EXPECT_NEAR(shares(8, 4), 0.8, 0.02);
 }
 
+TEST(Evidence, BothPartsOfACutCellCount) {
+  const SyntheticStation station = make_station(scene_under_a_sky());
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  RefinementField field = diffuse_field(image);
+  constexpr int border = 56;  // in the middle of the fourth row of cells
+  // Above the border nothing of the measurement is explained, below it everything.
+  measure(field, [](int, int v) { return v < border ? -1.0F : 1.0F; });
+  ExplainedByResult explained(field.size());
+  explained.add(field, {0, border}, 0, Context{});
+  explained.add(field, {border, 129}, 0, Context{});
+  const Image<float> shares = explained.shares(Context{});
+  EXPECT_NEAR(shares(5, 1), -1, 0.05);
+  EXPECT_NEAR(shares(5, 3), 0, 0.15) << "1 where only the later part counts";
+  EXPECT_NEAR(shares(5, 6), 1, 0.05);
+}
+
 TEST(Evidence, CellsAreInterpolatedBetweenTheirCenters) {
   Image<float> cells({3, 1});
   cells(0, 0) = 1;

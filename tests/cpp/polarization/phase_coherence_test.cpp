@@ -134,6 +134,28 @@ TEST(PhaseCoherence, StandardDeviationsMatchTheErrors) {
   EXPECT_LT(std::sqrt(squares), 1.4);
 }
 
+TEST(PhaseCoherence, IslandsInLessThanFourPlacesHaveNoScatter) {
+  const PolarizerScene scene;
+  const auto of_corners = [&](int corners) {
+    constexpr int side = 20;
+    PolarizationState state = scene.state(StokesFrame::Identity());
+    state.valid.fill(static_cast<std::uint8_t>(PixelState::outside));
+    for (int k = 0; k < corners; ++k) {
+      const int u0 = k % 3 == 0 ? 0 : scene.size.width - side, v0 = k % 2 == 0 ? 0 : scene.size.height - side;
+      for (int v = v0; v < v0 + side; ++v)
+        for (int u = u0; u < u0 + side; ++u) state.valid(u, v) = static_cast<std::uint8_t>(PixelState::valid);
+    }
+    return coherence_of(state, scene.normals);
+  };
+  for (const int corners : {2, 3}) {
+    const PhaseCoherence found = of_corners(corners);
+    EXPECT_GT(found.cells, 50U * static_cast<unsigned>(corners));
+    EXPECT_EQ(found.ahead_sigma, 0) << corners;
+    EXPECT_FALSE(knows_direction(found)) << corners;
+  }
+  EXPECT_GT(of_corners(4).ahead_sigma, 0);
+}
+
 TEST(PhaseCoherence, ReportsTheSharesOfKnownPhasesAndAzimuths) {
   PolarizerScene scene;
   PolarizationState state = scene.state(StokesFrame::Identity());
