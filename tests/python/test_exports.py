@@ -324,14 +324,30 @@ def test_points_at_the_rim_have_their_own_deviation(workspace: malus.Workspace) 
 def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     library = pytest.importorskip("pye57")
     file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
-    scan = file.read_scan_raw(0)
+    scan = file.read_scan(0, colors=True, ignore_missing_fields=True)
     file.close()
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000
     np.testing.assert_allclose(xyz, points.reshape(-1, 3), atol=1e-6)
     # By a reader that shares no code with the writer.
     other = pytest.importorskip("e57").read_points(str(tmp_path / "a.e57"))
     np.testing.assert_allclose(np.asarray(other.points) * 1000, points.reshape(-1, 3), atol=1e-4)
-    assert len(other.color) == len(xyz)
+    mesh, _ = exports.Exporter(workspace).cloud()
+    np.testing.assert_array_equal(
+        np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], -1), mesh.colors
+    )
+    np.testing.assert_array_equal(np.rint(np.asarray(other.color) * 255), mesh.colors)
+    _, normals = scans.read_scan(tmp_path / "a.e57", "mm")
+    assert normals is not None
+    np.testing.assert_allclose(normals, mesh.normals, atol=1e-6)
+
+
+def test_e57_states_nothing_that_was_not_measured(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """It stated an air pressure of 0, which the standard forbids, and times in 1980."""
+    reader = pytest.importorskip("e57")
+    text = reader.raw_xml(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
+    assert "<cartesianBounds" in text
+    for element in ("atmosphericPressure", "temperature", "relativeHumidity", "dateTimeValue"):
+        assert element not in text
 
 
 def test_e57_far_from_the_origin_has_a_pose(
@@ -343,7 +359,7 @@ def test_e57_far_from_the_origin_has_a_pose(
     monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
     path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
     file = library.E57(str(path))
-    scan, stored = file.read_scan(0, ignore_missing_fields=True), file.read_scan_raw(0)
+    scan, stored = (file.read_scan(0, ignore_missing_fields=True, transform=transform) for transform in (True, False))
     header = file.get_header(0)
     bounds = [[getattr(header, f"{axis}{end}imum") for axis in "xyz"] for end in ("Min", "Max")]
     file.close()
