@@ -22,7 +22,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exported, exports, scans
+from malus import _core, drawings, exported, exports, rti, scans
 from malus._files import read_record
 from malus.object import arrays
 from malus.rti import write_ptm
@@ -698,6 +698,18 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):
         malus.export(workspace.folder, "relight", folder)
+
+
+def test_relight_normals_outside_of_the_object_face_the_viewer(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There they had length 0, which a shader cannot normalize."""
+    found = rti.relightable(workspace)
+    found.normals[:10] = np.nan
+    monkeypatch.setattr(rti, "relightable", lambda _: found)
+    folder = malus.export(workspace.folder, "relight", tmp_path / "relight")
+    levels = sixteen_bits(folder / "normals.png")
+    np.testing.assert_array_equal(levels[:10], np.broadcast_to([32768, 32768, 65535], levels[:10].shape))
 
 
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -41,6 +41,7 @@ def test_result_describes_itself(result: malus.Result, scene: synthetic.Scene) -
     assert len(repr(result)) < 200
     assert "converged" not in repr(result), "a solver's word says nothing of how good the surface is"
     assert "still changing when" in repr(replace(result, status="not converged"))
+    assert "GSD 60 µm" in repr(replace(result, quality={**result.quality, "gsd": 6e-5, "unit": "m"}))
 
 
 def test_notebook_shows_prior_and_surface(result: malus.Result) -> None:
