@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
 from collections.abc import Sequence
 from io import BufferedReader
@@ -33,6 +34,7 @@ _ALIKE: dict[int, tuple[str, str]] = {
 }
 #: Relative difference up to which two values count as equal, because cameras round them.
 _SAME = 1e-3
+_FILTERS = threading.Lock()
 
 
 def tags_of(path: Path) -> dict[int, Any]:
@@ -40,7 +42,8 @@ def tags_of(path: Path) -> dict[int, Any]:
     are damaged.
     """
     try:
-        with warnings.catch_warnings():
+        # Filters of warnings are those of the whole process: two threads would restore each other's.
+        with _FILTERS, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return _read_tags(path)
     except Exception:  # Pillow raises nearly any exception type for damaged tags; damaged tags must not end a run.

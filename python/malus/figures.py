@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import threading
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -47,6 +48,7 @@ _WIDEST = 5.0
 _BEYOND_GRAZING = 0.342
 #: Largest opacity of relief shading over the colors of a map.
 _SHADE_OPACITY = 0.8
+_SETTINGS = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ class Figure:
             raise ValueError(f"{self.name} was not drawn for print, expected Plates(…, for_print=True)")
         buffer = io.BytesIO()
         undated = {"Date": None} if kind == "svg" else {"CreationDate": None}
-        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        # matplotlib's settings are those of the whole process: two threads would set and restore each other's.
+        with _SETTINGS, rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
             self.drawing.savefig(buffer, format=kind, metadata=undated)
         return buffer.getvalue()
 

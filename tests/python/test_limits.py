@@ -287,8 +287,10 @@ def test_folders_that_a_killed_writer_left_are_removed_by_the_next(tmp_path: Pat
     for folder in (left, held, of_other):
         (folder / "deep").mkdir(parents=True)
         os.utime(folder, (0, 0))
-    descriptor = os.open(held, os.O_RDONLY)
+    # A file that is open for writing: on NFS other machines see no lock of a folder.
+    descriptor = os.open(held / ".lock", os.O_RDWR | os.O_CREAT)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
+    os.utime(held, (0, 0))
     with scratch_folder(tmp_path / "a.zip") as scratch:
         assert set(tmp_path.iterdir()) == {held, of_other, scratch}
         os.utime(scratch, (0, 0))
