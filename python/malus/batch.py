@@ -94,8 +94,9 @@ def run_campaign(
 
     OUTPUT gets stations/NAME/ (a workspace each), done/NAME.json (how each ended), and campaign.csv, campaign.json and
     index.html over all stations. jobs: number of stations that run at the same time, each in a process of this machine; threads:
-    of each station (default: all cores, divided among the jobs, on a Dask worker those of its machine, divided among the stations that it
-    runs at a time). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask". shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
+    of each station (default: all cores, divided among the jobs; on a Dask worker those of its machine, divided among the stations
+    that it runs at a time). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask".
+    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
     Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
     around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
@@ -254,9 +255,8 @@ def _run_on_worker(task: Task, threads: int | None, version: str) -> Outcome:
             f"a Dask worker has Malus {_core.version}, this program is {version}; expected the same version on all machines"
         )
     if threads is None:
-        from distributed import get_worker
-
-        threads = max(1, ALL_CORES // get_worker().state.nthreads)
+        worker = extra("distributed", "distributed", "--scheduler", "dask").get_worker()
+        threads = max(1, ALL_CORES // worker.state.nthreads)
     return run_station(replace(task, threads=threads))
 
 
