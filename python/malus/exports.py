@@ -173,6 +173,11 @@ class Exporter:
         """Elevation above the plane fitted to the object."""
         return dem_from_mesh(self.mesh(), self.surface, options=self.options, threads=self.threads)
 
+    @property
+    def decimals(self) -> int:
+        """Decimals of coordinates in text: to a thousandth of a pixel, also far from the origin, as in a national grid."""
+        return max(0, 3 - int(np.floor(np.log10(float(self.workspace.quality["gsd"])))))
+
     def cloud(self) -> tuple[Mesh, NDArray[np.float64]]:
         """The surface's vertices (as a mesh) and their standard deviations of depth."""
         mesh = self.mesh()
@@ -357,8 +362,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(
             f"# {' '.join(exporter.name.split())}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n"
         )
-        # To a thousandth of a pixel, also far from the origin, as in a national grid.
-        places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
+        places = exporter.decimals
         # In parts, because copies of all rows of 100 megapixels would take many times the mesh's memory.
         for rows in arrays.chunks(len(mesh.vertices)):
             np.savetxt(file, mesh.vertices[rows], " ".join(["v", *[f"%.{places}f"] * 3]))
@@ -444,6 +448,18 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         points.write(str(temporary))
 
 
+def _write_xyz(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    cloud, sigma = exporter.cloud()
+    length = f"%.{exporter.decimals}f"
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(f"# {line}\n" for line in exporter.words())
+        file.write("# x y z red green blue nx ny nz sigma\n")
+        # In parts, because text of all rows of 100 megapixels would take many times the cloud's memory.
+        for rows in arrays.chunks(len(cloud.vertices)):
+            table = np.column_stack([cloud.vertices[rows], cloud.colors[rows], cloud.normals[rows], sigma[rows]])
+            np.savetxt(file, table, " ".join([*[length] * 3, "%d %d %d", "%.5f %.5f %.5f", length]))
+
+
 def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     cloud, _ = exporter.cloud()
     points = cloud.vertices * METERS[exporter.unit]
@@ -468,6 +484,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "dem": (_write_dem, "dem.tif", (".tif", ".tiff")),
     "las": (_write_las, "surface.las", (".las", ".laz")),
     "e57": (_write_e57, "surface.e57", (".e57",)),
+    "xyz": (_write_xyz, "surface.xyz", (".xyz", ".txt", ".asc")),
     "stl": (_write_stl, "surface.stl", (".stl",)),
     "orthophoto": (_write_orthophoto, "orthophoto.png", (".png",)),
     "contours": (_write_contours, "contours.svg", (".svg", ".dxf")),
@@ -491,7 +508,7 @@ def files_beside(format: str, path: Path) -> list[Path]:
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
 #: The formats that show either the photograph's color or the albedo; IIIF shows both.
-COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap")
+COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
@@ -520,6 +537,7 @@ def export(
       station's unit, 0 where there is none. dem: the elevation model as GeoTIFF; normal-map and displacement have its grid. orthophoto:
       the object's picture on that grid, PNG with a world file, transparent where there is no surface.
     - las: points with color, normal and standard deviation, station unit. e57: points with color and normal, meters.
+      xyz: text with a line for each point: x y z, red green blue (0 to 255), normal, standard deviation, station unit.
     - contours (every `interval`, station unit; default: a round number) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light direction, as a polynomial texture map for RTI viewers.

@@ -341,6 +341,21 @@ def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray
     np.testing.assert_allclose(normals, mesh.normals, atol=1e-6)
 
 
+def test_xyz_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    path = malus.export(workspace.folder, "xyz", tmp_path / "a.xyz")
+    mesh, sigma = exports.Exporter(workspace).cloud()
+    table, finest = np.loadtxt(path), 1e-3 * workspace.quality["gsd"]
+    np.testing.assert_allclose(table[:, :3], points.reshape(-1, 3), atol=finest)
+    np.testing.assert_array_equal(table[:, 3:6], mesh.colors)
+    np.testing.assert_allclose(table[:, 6:9], mesh.normals, atol=1e-5)
+    np.testing.assert_allclose(table[:, 9], sigma, atol=finest)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert {f"# {line}" for line in of_the_surface(workspace)} <= set(lines)
+    read, normals = _core.read_oriented_points(str(path))  # as a prior or a reference
+    np.testing.assert_array_equal(read, table[:, :3])
+    np.testing.assert_allclose(normals, mesh.normals, atol=1e-4)
+
+
 def test_e57_states_nothing_that_was_not_measured(workspace: malus.Workspace, tmp_path: Path) -> None:
     """It stated an air pressure of 0, which the standard forbids, and times in 1980."""
     reader = pytest.importorskip("e57")
