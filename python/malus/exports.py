@@ -22,10 +22,12 @@ from malus._files import replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
+from malus.columns import number
 from malus.e57_export import write_e57
 from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
+from malus.lengths import shown
 from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
@@ -258,8 +260,8 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
     rounding = farthest * 2.0**-24
     if rounding > _MOST_ROUNDING_GSD * gsd:
         raise DataError(
-            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {rounding:.2g} {exporter.unit}, "
-            f"{rounding / gsd:.2g} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
+            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {shown(rounding, exporter.unit)}, "
+            f"{number(rounding / gsd, 2)} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
         )
 
 
