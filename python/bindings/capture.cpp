@@ -37,17 +37,20 @@ py::list register_arrays(const std::vector<Image<float>>& images, const Options&
 }  // namespace
 
 void bind_capture(py::module_& module) {
-  module.def("linearize", [](Image<float>& image, const std::string& response, double black, double white) {
-    RawImage raw{std::move(image), 32, true, white};
-    PolarizedSpec spec;
-    spec.black_level = black;
-    spec.white_level = white;
-    const ResponseCurve curve = response_curve(response, "response");
-    const Levels levels = levels_of(raw, spec, curve, 1, "image");
-    return raw.pixels.channels() == 3
-               ? linearize_color(raw, curve, levels, {})
-               : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", {}).intensity;
-  });
+  module.def(
+      "linearize",
+      [](Image<float>& image, const std::string& response, double black, double white) {
+        RawImage raw{std::move(image), 32, true, white};
+        PolarizedSpec spec;
+        spec.black_level = black;
+        spec.white_level = white;
+        const ResponseCurve curve = response_curve(response, "response");
+        const Levels levels = levels_of(raw, spec, curve, 1, "image");
+        return raw.pixels.channels() == 3
+                   ? linearize_color(raw, curve, levels, {})
+                   : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", {}).intensity;
+      },
+      WithoutGil());
   module.def("undistort", [](const Image<float>& image, const CameraValues& values, int threads) {
     const LensCamera lens = to_camera(values, "camera").first;
     require_size(image, lens.size, "image");
@@ -68,7 +71,7 @@ void bind_capture(py::module_& module) {
 
   module.def("register_images", &register_arrays);
 
-  module.def("select_similar", &select_similar);
+  module.def("select_similar", &select_similar, WithoutGil());
 
   module.def("cut_out_object", [](const Image<std::uint8_t>& picture, const Mask& hints, int iterations, int threads) {
     return computed(threads,

@@ -89,7 +89,9 @@ void bind_evidence(py::module_& module) {
 
   module.def("check_order", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                                const std::optional<Mask>& mask) {
-    const ImageOrder order = check_image_order(images, angles_rad, mask.value_or(Mask()), {});
+    const Mask object = mask.value_or(Mask());
+    const ImageOrder order =
+        computed(1, [&](const Context& context) { return check_image_order(images, angles_rad, object, context); });
     py::dict result = to_dict(order.finding);
     result["angles_rad"] = order.angles_rad;
     return result;
@@ -97,7 +99,10 @@ void bind_evidence(py::module_& module) {
 
   module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                                   const std::optional<Mask>& mask, const std::string& response) {
-    return to_dict(check_response(images, angles_rad, mask.value_or(Mask()), response, {}).finding);
+    const Mask object = mask.value_or(Mask());
+    return to_dict(computed(1, [&](const Context& context) {
+                     return check_response(images, angles_rad, object, response, context);
+                   }).finding);
   });
 }
 

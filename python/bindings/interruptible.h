@@ -27,4 +27,8 @@ auto computed(int threads, Compute&& compute) {
   return std::move(*result);
 }
 
+/// Lets other Python threads run during a function without a computation to cancel, such as one that writes a file. The
+/// function must not touch Python objects.
+using WithoutGil = py::call_guard<py::gil_scoped_release>;
+
 }  // namespace malus::python

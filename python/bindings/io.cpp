@@ -41,26 +41,33 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
 }  // namespace
 
 void bind_io(py::module_& module) {
-  module.def("read_raster", [](const std::string& path) {
-    return path.ends_with(".tif") ? read_float_raster(path) : read_image(path).pixels;
+  module.def(
+      "read_raster",
+      [](const std::string& path) {
+        return path.ends_with(".tif") ? read_float_raster(path) : read_image(path).pixels;
+      },
+      WithoutGil());
+  module.def("read_points", [](const std::string& path) {
+    const PointCloud cloud =
+        computed(1, [&](const Context& context) { return read_point_cloud(path, context, "reference"); });
+    return to_array<double>(cloud.points);
   });
-  module.def("read_points",
-             [](const std::string& path) { return to_array<double>(read_point_cloud(path, {}, "reference").points); });
   module.def("read_cloud_or_mesh", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
-    const TriangleMesh mesh = read_cloud_or_mesh(path, {}, "reference");
+    const TriangleMesh mesh =
+        computed(1, [&](const Context& context) { return read_cloud_or_mesh(path, context, "reference"); });
     if (mesh.triangles.empty()) return {to_array<double>(mesh.vertices.points), py::none()};
     return {to_array<double>(mesh.vertices.points), to_array<std::uint32_t>(mesh.triangles)};
   });
   module.def("read_oriented_points", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
-    const PointCloud cloud = read_cloud(path);
+    const PointCloud cloud = computed(1, [&](const Context& context) { return read_cloud(path, context); });
     if (cloud.normals.empty()) return {to_array<double>(cloud.points), py::none()};
     std::vector<Eigen::Vector3d> units;
     for (const Eigen::Vector3f& normal : cloud.normals) units.push_back(normal.cast<double>().normalized());
     return {to_array<double>(cloud.points), to_array<double>(units)};
   });
-  module.def("write_float_tiff", &write_float_tiff);
-  module.def("write_png16", &write_png16);
-  module.def("write_tiff16", &write_tiff16);
+  module.def("write_float_tiff", &write_float_tiff, WithoutGil());
+  module.def("write_png16", &write_png16, WithoutGil());
+  module.def("write_tiff16", &write_tiff16, WithoutGil());
   module.def("read_image_dn", [](const std::string& path) {
     RawImage image = computed(1, [&](const Context&) { return read_image(path, "photo"); });
     return std::pair(std::move(image.pixels), image.full_scale_dn);
@@ -76,7 +83,7 @@ void bind_io(py::module_& module) {
   module.def("resect", &resected);
   module.def("angles_of_names", &angles_of_names);
   module.def("angle_of_name", &angle_of_name);
-  module.def("write_png", &write_png);
+  module.def("write_png", &write_png, WithoutGil());
 }
 
 }  // namespace malus::python

@@ -159,8 +159,11 @@ py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pi
 
 void bind_photogrammetry(py::module_& module) {
   py::class_<ColmapModel>(module, "ColmapModel")
-      .def_static("read", [](const std::string& folder) { return read_colmap_model(folder); })
-      .def("write", [](const ColmapModel& model, const std::string& folder) { write_colmap_model(folder, model); })
+      .def_static(
+          "read", [](const std::string& folder) { return read_colmap_model(folder); }, WithoutGil())
+      .def(
+          "write", [](const ColmapModel& model, const std::string& folder) { write_colmap_model(folder, model); },
+          WithoutGil())
       .def("transform", &ColmapModel::transform)
       .def("refine", &refine)
       .def("images", &images_of)
@@ -183,13 +186,16 @@ void bind_photogrammetry(py::module_& module) {
       line.emplace_back(at.x(), at.y());
     return line;
   });
-  module.def("detect_targets", [](const Image<std::uint8_t>& pixels, const std::string& dictionary) {
-    std::vector<std::tuple<int, double, double>> found;
-    for (const CodedTarget& target : detect_targets(pixels, dictionary)) {
-      found.emplace_back(target.id, target.center.x(), target.center.y());
-    }
-    return found;
-  });
+  module.def(
+      "detect_targets",
+      [](const Image<std::uint8_t>& pixels, const std::string& dictionary) {
+        std::vector<std::tuple<int, double, double>> found;
+        for (const CodedTarget& target : detect_targets(pixels, dictionary)) {
+          found.emplace_back(target.id, target.center.x(), target.center.y());
+        }
+        return found;
+      },
+      WithoutGil());
   module.def("match_pairs", &matches_of);
   module.def("adjust_scale", &scale_of);
   module.def("adjust_datum", &datum_of);

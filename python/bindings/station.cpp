@@ -171,7 +171,8 @@ void bind_run(py::module_& module) {
   });
 
   py::class_<Station>(module, "Station")
-      .def_static("load", [](const std::string& path) { return Station::load(path); })
+      .def_static(
+          "load", [](const std::string& path) { return Station::load(path); }, WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
                   py::arg("prior_depth"), py::arg("mask"))
@@ -226,7 +227,8 @@ void bind_workspace(py::module_& module) {
   });
   module.attr("refined_nowhere") = refined_nowhere;
   module.attr("refined_everywhere") = refined_everywhere;
-  module.def("sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); });
+  module.def(
+      "sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); }, WithoutGil());
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();

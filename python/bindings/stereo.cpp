@@ -18,6 +18,7 @@
 
 namespace malus::python {
 void bind_stereo(py::module_& module) {
+  module.attr("least_silhouettes") = least_silhouettes;
   module.def("sweep_surface",
              [](Image<float>& intensity, const CameraValues& station_camera,
                 const std::vector<std::pair<PhotoSource, CameraValues>>& photos, const Array<double>& points,

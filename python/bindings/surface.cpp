@@ -43,9 +43,12 @@ void bind_surface(py::module_& module) {
                std::copy(distances.begin(), distances.end(), cube.mutable_data());
                return cube;
              });
-  module.def("display_image", [](const Image<float>& color, const Image<float>& depth, double white_percentile) {
-    return display_image(color, depth, white_percentile, {});
-  });
+  module.def(
+      "display_image",
+      [](const Image<float>& color, const Image<float>& depth, double white_percentile) {
+        return display_image(color, depth, white_percentile, {});
+      },
+      WithoutGil());
   module.def("dem_from_mesh", [](const Array<double>& vertices, const Array<std::uint32_t>& triangles,
                                  const FusedSurface& surface, const Options& options, int threads) {
     const TriangleMesh mesh = to_mesh(to_cloud(vertices), triangles);
@@ -60,11 +63,14 @@ void bind_surface(py::module_& module) {
     result["normal"] = dem.normal;
     return result;
   });
-  module.def("write_dem", [](const std::string& path, Image<float>& elevation, double pixel,
-                             const Eigen::Vector3d& origin, const Eigen::Vector3d& right, const Eigen::Vector3d& up,
-                             const Eigen::Vector3d& normal, const std::string& unit, const std::string& name) {
-    write_dem(path, {std::move(elevation), pixel, origin, right, up, normal}, length_unit(unit), name);
-  });
+  module.def(
+      "write_dem",
+      [](const std::string& path, Image<float>& elevation, double pixel, const Eigen::Vector3d& origin,
+         const Eigen::Vector3d& right, const Eigen::Vector3d& up, const Eigen::Vector3d& normal,
+         const std::string& unit, const std::string& name) {
+        write_dem(path, {std::move(elevation), pixel, origin, right, up, normal}, length_unit(unit), name);
+      },
+      WithoutGil());
   module.def("write_ply", [](const std::string& path, const Array<double>& vertices, const Array<float>& normals,
                              const Array<std::uint8_t>& colors, const Array<std::uint32_t>& triangles,
                              const std::vector<std::string>& comments, int threads) {

@@ -15,6 +15,7 @@ _Bytes = NDArray[np.uint8]
 version: str
 refined_nowhere: float
 refined_everywhere: float
+least_silhouettes: int
 
 def option_schema() -> str: ...
 def default_options() -> str: ...

@@ -135,20 +135,20 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
 def scratch_folder(path: Path) -> Iterator[Path]:
     """Give an empty folder beside `path`, in which its content is prepared. The folder is removed at the end.
 
-    Folders left by writers that were killed are removed at the start. They have no lock any more: each writer locks its folder,
-    and the system drops the lock with the process, also for other machines that see the same folder.
+    Folders left by writers that were killed are removed at the start. They have no lock any more: each writer locks a file in its
+    folder, and the system drops the lock with the process, also for other machines that see the same folder. (On a network disk, NFS,
+    the lock of a folder itself is not seen by other machines.)
     """
     for left in path.parent.glob(f".{glob.escape(path.name)}.partial-*/"):
         _remove_unless_held(left)
     scratch = path.with_name(f".{path.name}.partial-{secrets.token_hex(8)}")
     scratch.mkdir()
-    held = os.open(scratch, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    held = _open_lock(scratch)
     try:
         fcntl.flock(held, fcntl.LOCK_EX)
         yield scratch
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        os.close(held)
+        _remove_and_close(scratch, held)
 
 
 def _remove_unless_held(folder: Path) -> None:
@@ -156,12 +156,25 @@ def _remove_unless_held(folder: Path) -> None:
         # A writer locks its folder only a moment after it has made it.
         if time.time() - folder.stat().st_mtime < _UNTIL_HELD_S:
             return
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        descriptor = _open_lock(folder)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(folder)
-        finally:
+        except OSError:
             os.close(descriptor)
+        else:
+            _remove_and_close(folder, descriptor)
+
+
+def _open_lock(folder: Path) -> int:
+    # Writable, which NFS needs for an exclusive lock.
+    return os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+
+
+def _remove_and_close(folder: Path, lock: int) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    os.close(lock)
+    # NFS keeps an open file under another name until it is closed, and the folder with it.
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -17,12 +17,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import quote
 from xml.sax.saxutils import escape
 
 from malus import _core, exif
 from malus._extra import extra
 from malus._files import replacing, scratch_folder
 from malus.errors import InputError
+from malus.lengths import shown
 from malus.photogrammetry.photos import photos_of
 from malus.raw import is_raw, name_of
 from malus.scans import is_scan, read_scan
@@ -166,7 +168,9 @@ class _Crate:
         self.sources: dict[str, Path] = {}
 
     def entity(self, place: str, kind: str, properties: dict[str, Any]) -> Any:
-        return self.crate.add(self._entity(self.crate, place, properties={"@type": kind, **properties}))
+        # An @id is an address, in which blanks and letters of other scripts are escaped; rocrate does so for files only.
+        address = quote(place, safe="/:#")
+        return self.crate.add(self._entity(self.crate, address, properties={"@type": kind, **properties}))
 
     def file(self, place: str, source: Path, sha256: str | None, **properties: Any) -> Any:
         kind = mimetypes.guess_type(place)[0] or "application/octet-stream"
@@ -203,7 +207,7 @@ def _describe_root(crate: _Crate, made: datetime) -> None:
     crate.crate.name = f"{title}: surface from polarization and stereo"
     crate.crate.description = known.get(
         "description",
-        f"Surface of {title}, ground sampling distance {quality['gsd']:.4g} {quality['unit']}, "
+        f"Surface of {title}, ground sampling distance {shown(quality['gsd'], quality['unit'], 4)}, "
         f"confidence {confidence['level']}; with everything that it was made from.",
     )
     root = crate.crate.root_dataset
@@ -232,7 +236,7 @@ def _add_files(crate: _Crate, inputs: dict[str, _Input | None]) -> dict[str, Any
             continue
         place = _place(name, file.sha256)
         facts = crate.values(place, _capture_of(file.path))
-        entities[name] = crate.file(place, file.path, file.sha256, **({"exifData": facts} if facts else {}))
+        entities[name] = crate.file(place, file.path, file.sha256, **({"exifData": _flat(facts)} if facts else {}))
     for name, output in workspace.outputs.items():
         crate.file(f"results/{name}", workspace.path(name), output["sha256"])
     crate.file("results/manifest.json", workspace.folder / "manifest.json", None, name="settings, versions and hashes")

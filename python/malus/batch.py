@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,9 @@ def run_campaign(
 
     OUTPUT gets stations/NAME/ (a workspace each), done/NAME.json (how each ended), and campaign.csv, campaign.json and
     index.html over all stations. jobs: number of stations that run at the same time, each in a process of this machine; threads:
-    of each station (default: all cores, divided among the jobs). scheduler: address of a Dask scheduler whose workers see the same
-    files; needs the extra "dask". shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
+    of each station (default: all cores, divided among the jobs; on a Dask worker those of its machine, divided among the stations
+    that it runs at a time). scheduler: address of a Dask scheduler whose workers see the same files; needs the extra "dask".
+    shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
     Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
     around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
@@ -110,7 +112,9 @@ def run_campaign(
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
     if open_tasks:
-        finished = _on_this_machine(open_tasks, jobs) if scheduler is None else _on_cluster(open_tasks, scheduler)
+        finished = (
+            _on_this_machine(open_tasks, jobs) if scheduler is None else _on_cluster(open_tasks, scheduler, threads)
+        )
         with closing(finished):  # ends the processes if `progress` raises an error, or Ctrl-C comes while it runs
             for count, outcome in enumerate(finished, start=1):
                 if progress is not None:
@@ -241,7 +245,22 @@ def _on_this_machine(tasks: Sequence[Task], jobs: int) -> Generator[Outcome, Non
                 yield _killed(task, "its process was killed, perhaps out of memory (see malus check)")
 
 
-def _on_cluster(tasks: Sequence[Task], address: str) -> Generator[Outcome, None, None]:
+def _run_on_worker(task: Task, threads: int | None, version: str) -> Outcome:
+    """`run_station` on a Dask worker. threads: None = the cores of the worker's machine, divided among the stations it runs at a time.
+
+    ExternalError if the worker's Malus is not the `version` that asks for the station: what it makes would not count as done there.
+    """
+    if version != _core.version:
+        raise ExternalError(
+            f"a Dask worker has Malus {_core.version}, this program is {version}; expected the same version on all machines"
+        )
+    if threads is None:
+        worker = extra("distributed", "distributed", "--scheduler", "dask").get_worker()
+        threads = max(1, ALL_CORES // worker.state.nthreads)
+    return run_station(replace(task, threads=threads))
+
+
+def _on_cluster(tasks: Sequence[Task], address: str, threads: int | None) -> Generator[Outcome, None, None]:
     distributed = extra("distributed", "distributed", "--scheduler", "dask")
     try:
         client = distributed.Client(address, timeout=_SCHEDULER_TIMEOUT)
@@ -250,7 +269,9 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Generator[Outcome, None,
     with client:
         # If a worker dies, its station goes to another worker, which resumes the workspace.
         futures = {
-            client.submit(run_station, task, key=f"malus-{task.identifier}-{task.key()}", pure=False): task
+            client.submit(
+                _run_on_worker, task, threads, _core.version, key=f"malus-{task.identifier}-{task.key()}", pure=False
+            ): task
             for task in tasks
         }
         # Silence Dask's traceback for a lost scheduler: the error below reports it.

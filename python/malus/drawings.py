@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from malus._extra import extra
 from malus._files import replacing, write_text
+from malus.columns import number
 from malus.errors import DataError, InputError
 from malus.lengths import round_below
 from malus.surface import Dem
@@ -58,7 +59,7 @@ def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
     first, last = math.ceil(low / step), math.floor(high / step)
     if last - first > 1000:
         raise InputError(
-            f"--interval {step} gives {last - first} contour lines, expected at most 1000; the relief spans {high - low:.4g}"
+            f"--interval {step} gives {last - first} contour lines, expected at most 1000; the relief spans {number(high - low, 4)}"
         )
     rows, columns = dem.elevation.shape
     masked = np.ma.masked_invalid(dem.elevation)

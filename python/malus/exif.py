@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import warnings
 from collections.abc import Sequence
 from io import BufferedReader
@@ -35,6 +36,7 @@ _ALIKE: dict[int, tuple[str, str]] = {
 _SAME = 1e-3
 #: Ratio up to which exposure times are those of the station file: cameras write 1/60 s for 1/64 s. A third of a stop is more.
 _ROUNDED = 1.2
+_FILTERS = threading.Lock()
 
 
 def tags_of(path: Path) -> dict[int, Any]:
@@ -42,7 +44,8 @@ def tags_of(path: Path) -> dict[int, Any]:
     are damaged.
     """
     try:
-        with warnings.catch_warnings():
+        # Filters of warnings are those of the whole process: two threads would restore each other's.
+        with _FILTERS, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return _read_tags(path)
     except Exception:  # Pillow raises nearly any exception type for damaged tags; damaged tags must not end a run.

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,12 @@ from malus._files import replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
+from malus.columns import number
+from malus.e57_export import write_e57
 from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
+from malus.lengths import shown
 from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
@@ -36,7 +38,7 @@ from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
-from malus.xmp import NAMESPACE, packet, save_png, tag_png, tag_tiff
+from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 #: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
 _MOST_ROUNDING_GSD = 0.1
@@ -173,6 +175,11 @@ class Exporter:
         """Elevation above the plane fitted to the object."""
         return dem_from_mesh(self.mesh(), self.surface, options=self.options, threads=self.threads)
 
+    @property
+    def decimals(self) -> int:
+        """Decimals of coordinates in text: to a thousandth of a pixel, also far from the origin, as in a national grid."""
+        return max(0, 3 - int(np.floor(np.log10(float(self.workspace.quality["gsd"])))))
+
     def cloud(self) -> tuple[Mesh, NDArray[np.float64]]:
         """The surface's vertices (as a mesh) and their standard deviations of depth."""
         mesh = self.mesh()
@@ -253,8 +260,8 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
     rounding = farthest * 2.0**-24
     if rounding > _MOST_ROUNDING_GSD * gsd:
         raise DataError(
-            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {rounding:.2g} {exporter.unit}, "
-            f"{rounding / gsd:.2g} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
+            f"{path}: its coordinates reach {farthest:.0f} {exporter.unit}, which STL rounds by {shown(rounding, exporter.unit)}, "
+            f"{number(rounding / gsd, 2)} pixels on the object; expected a frame whose origin is near the object, or --format ply or glb"
         )
 
 
@@ -357,8 +364,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         file.write(
             f"# {' '.join(exporter.name.split())}, lengths in {exporter.unit}, world frame\nmtllib {material.name}\n"
         )
-        # To a thousandth of a pixel, also far from the origin, as in a national grid.
-        places = max(0, 3 - int(np.floor(np.log10(float(exporter.workspace.quality["gsd"])))))
+        places = exporter.decimals
         # In parts, because copies of all rows of 100 megapixels would take many times the mesh's memory.
         for rows in arrays.chunks(len(mesh.vertices)):
             np.savetxt(file, mesh.vertices[rows], " ".join(["v", *[f"%.{places}f"] * 3]))
@@ -444,44 +450,28 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         points.write(str(temporary))
 
 
+def _write_xyz(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+    cloud, sigma = exporter.cloud()
+    length = f"%.{exporter.decimals}f"
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(f"# {line}\n" for line in exporter.words())
+        file.write("# x y z red green blue nx ny nz sigma\n")
+        # In parts, because text of all rows of 100 megapixels would take many times the cloud's memory.
+        for rows in arrays.chunks(len(cloud.vertices)):
+            table = np.column_stack([cloud.vertices[rows], cloud.colors[rows], cloud.normals[rows], sigma[rows]])
+            np.savetxt(file, table, " ".join([*[length] * 3, "%d %d %d", "%.5f %.5f %.5f", length]))
+
+
 def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    library = extra("pye57", "pye57", f"{path}: E57")
     cloud, _ = exporter.cloud()
     points = cloud.vertices * METERS[exporter.unit]
-    # The library writes floats. Far from the origin, as in a national grid, points are stored about their middle, which the scan's pose
-    # adds to them; near it as they are, for readers that take no pose.
+    # Floats of 32 bits are written. Far from the origin, as in a national grid, points are stored about their middle, which the scan's
+    # pose adds to them; near it as they are, for readers that take no pose.
     largest, pixel = np.abs(points).max(), exporter.workspace.quality["gsd"] * METERS[exporter.unit]
     middle = points.mean(0) if largest * 2.0**-24 > 1e-3 * pixel else np.zeros(3)
-    local = points - middle
-    x, y, z = local.T
-    red, green, blue = cloud.colors.T
-    values = {
-        "cartesianX": x,
-        "cartesianY": y,
-        "cartesianZ": z,
-        "colorRed": red,
-        "colorGreen": green,
-        "colorBlue": blue,
-    }
-    # Without a header the library states the bounds with the pose applied; the standard wants them in the frame of the stored points.
-    bounds = {f"{axis}Minimum": value for axis, value in zip("xyz", local.min(0).tolist(), strict=True)}
-    bounds |= {f"{axis}Maximum": value for axis, value in zip("xyz", local.max(0).tolist(), strict=True)}
-    # E57 has no elements for unit, confidence and catalog entries: they go into an extension of our own, which the standard allows.
-    # Programs show only the scan's name, so the name also states the confidence.
     said = {**exporter.said, "unit": "m"}
-    with replacing(path) as temporary:
-        file = library.E57(str(temporary), mode="w")
-        file.image_file.extensionsAdd("malus", NAMESPACE)
-        file.write_scan_raw(
-            {key: np.ascontiguousarray(value) for key, value in values.items()},
-            name=f"{exporter.name} (confidence {said['confidence']})",
-            rotation=np.array([1.0, 0, 0, 0]),
-            translation=middle,
-            scan_header=SimpleNamespace(**bounds),
-        )
-        for key, words in said.items():
-            file.data3d[0].set(f"malus:{key}", library.libe57.StringNode(file.image_file, words))
-        file.close()
+    name = f"{exporter.name} (confidence {said['confidence']})"
+    write_e57(path, points - middle, cloud.normals, cloud.colors, middle, name, said)
 
 
 Writer = Callable[[Exporter, Path, Wishes], None]
@@ -496,6 +486,7 @@ FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
     "dem": (_write_dem, "dem.tif", (".tif", ".tiff")),
     "las": (_write_las, "surface.las", (".las", ".laz")),
     "e57": (_write_e57, "surface.e57", (".e57",)),
+    "xyz": (_write_xyz, "surface.xyz", (".xyz", ".txt", ".asc")),
     "stl": (_write_stl, "surface.stl", (".stl",)),
     "orthophoto": (_write_orthophoto, "orthophoto.png", (".png",)),
     "contours": (_write_contours, "contours.svg", (".svg", ".dxf")),
@@ -519,7 +510,7 @@ def files_beside(format: str, path: Path) -> list[Path]:
 #: The formats that have triangles.
 MESHES = ("obj", "ply", "glb", "stl")
 #: The formats that show either the photograph's color or the albedo; IIIF shows both.
-COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "colmap")
+COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
@@ -547,7 +538,8 @@ def export(
       viewer; 0 … 65535 for −1 … 1), or EXR of 3 floats in −1 … 1. displacement: float TIFF or EXR, elevation above the plane in the
       station's unit, 0 where there is none. dem: the elevation model as GeoTIFF; normal-map and displacement have its grid. orthophoto:
       the object's picture on that grid, PNG with a world file, transparent where there is no surface.
-    - las: points with color, normal and standard deviation, station unit. e57: points with color, meters.
+    - las: points with color, normal and standard deviation, station unit. e57: points with color and normal, meters.
+      xyz: text with a line for each point: x y z, red green blue (0 to 255), normal, standard deviation, station unit.
     - contours (every `interval`, station unit; default: a round number) and sections (along every [[profile]]): SVG or DXF.
     - colmap: a dense workspace (folder) with depth and normal map of the station, for stereo_fusion and poisson_mesher.
     - rti: the object under any light direction, as a polynomial texture map for RTI viewers.

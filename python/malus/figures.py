@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import threading
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -47,6 +48,7 @@ _WIDEST = 5.0
 _BEYOND_GRAZING = 0.342
 #: Largest opacity of relief shading over the colors of a map.
 _SHADE_OPACITY = 0.8
+_SETTINGS = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ class Figure:
             raise ValueError(f"{self.name} was not drawn for print, expected Plates(…, for_print=True)")
         buffer = io.BytesIO()
         undated = {"Date": None} if kind == "svg" else {"CreationDate": None}
-        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        # matplotlib's settings are those of the whole process: two threads would set and restore each other's.
+        with _SETTINGS, rc_context({"svg.hashsalt": self.name, "svg.fonttype": "none", "pdf.fonttype": 42}):
             self.drawing.savefig(buffer, format=kind, metadata=undated)
         return buffer.getvalue()
 
@@ -224,11 +227,21 @@ def _over_bar(shape: Sequence[int], bar_in: float) -> tuple[Drawing, Any]:
     return drawing, drawing.add_axes((0, below, 1, 1 - below))
 
 
+def _beyond(colored: Any) -> Literal["neither", "min", "max", "both"]:
+    """At which ends of its color scale a picture or points have values beyond the scale."""
+    values = np.asarray(colored.get_array(), dtype=float)
+    known, (low, high) = values[np.isfinite(values)], colored.get_clim()
+    if not known.size:
+        return "neither"
+    below, above = bool((known < low).any()), bool((known > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
 def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, str] | None = None) -> None:
-    """Add the color bar of a picture or of points below it, with the unit."""
+    """Add the color bar of a picture or of points below it, with the unit; an arrow at its end stands for values beyond its limits."""
     height = _BAR_IN / drawing.get_figheight()
     axes = drawing.add_axes((0.15, height * 0.62, 0.65, height * 0.2))
-    bar = drawing.colorbar(colored, cax=axes, orientation="horizontal")
+    bar = drawing.colorbar(colored, cax=axes, orientation="horizontal", extend=_beyond(colored))
     bar.outline.set_linewidth(0.4)
     axes.tick_params(labelsize=LETTERS_PT, length=2)
     if ticks:
@@ -237,7 +250,7 @@ def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, 
         bar.locator = _few_ticks(4)
         bar.update_ticks()
     if label:
-        axes.text(1.03, 0.5, label, transform=axes.transAxes, fontsize=LETTERS_PT, va="center")
+        drawing.text(0.82, height * 0.72, label, fontsize=LETTERS_PT, va="center")
 
 
 def _with_shares(
@@ -574,8 +587,10 @@ class Plates:
         yield self._map(
             difference,
             _Map(
-                "fused_minus_prior", "Fused minus prior depth", "Blue: the fused surface lies farther away.",
-                "RdBu", self.unit, (-spread, spread),
+                "fused_minus_prior", "Fused minus prior depth",
+                "Negative (blue): the fused surface lies in front of the prior; positive (red): behind it.",
+                # Depth grows away from the camera; blue is in front in this map as in all others.
+                "RdBu_r", self.unit, (-spread, spread),
             ),
         )  # fmt: skip
         if self.workspace.has("fused/trust.png"):

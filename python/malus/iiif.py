@@ -33,8 +33,21 @@ _LABELS = {
     "recorded_on": "Recorded on",
     "license": "License",
 }
-#: The addresses that the specification allows as `rights`.
-_RIGHTS = re.compile(r"https?://(creativecommons\.org|rightsstatements\.org)/\S+$")
+#: Pages about a license or a statement, in any language, whose addresses people copy.
+_LICENSE = re.compile(
+    r"https?://(?:www\.)?creativecommons\.org/((?:licenses|publicdomain)/[a-z+-]+/\d\.\d/(?:[a-z]{2,4}/)?)"
+    r"(?:(?:deed|legalcode)[\w.-]*)?$"
+)
+_STATEMENT = re.compile(r"https?://(?:www\.)?rightsstatements\.org/(?:vocab|page)/([A-Za-z-]+/\d\.\d/)(?:\?\S*)?$")
+
+
+def rights_of(license: str) -> str | None:
+    """A license's address as the specification wants it in `rights`, from that of any page about it; None for other texts."""
+    address = license if license.endswith("/") or "?" in license else f"{license}/"
+    for pattern, place in ((_LICENSE, "creativecommons.org"), (_STATEMENT, "rightsstatements.org/vocab")):
+        if found := pattern.match(license) or pattern.match(address):
+            return f"http://{place}/{found[1]}"
+    return None
 
 
 def scale_factors(width: int, height: int) -> list[int]:
@@ -130,8 +143,8 @@ def manifest(
     }
     if words.get("rights"):
         found["requiredStatement"] = {"label": _text("Rights"), "value": _text(str(words["rights"]))}
-    if _RIGHTS.match(str(words.get("license", ""))):
-        found["rights"] = str(words["license"]).replace("https://", "http://")
+    if rights := rights_of(str(words.get("license", ""))):
+        found["rights"] = rights
     return found
 
 

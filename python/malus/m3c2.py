@@ -19,6 +19,7 @@ from malus import _core
 from malus._extra import extra
 from malus._files import write_text
 from malus._robust import robust_spread
+from malus.columns import number
 from malus.errors import DataError, InputError
 from malus.workspace import Workspace
 
@@ -189,7 +190,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     )
     if not np.isfinite(found).any():
         raise DataError(
-            f"{reference}: no point of the surface has {chosen:.4g} around it in the reference, expected a larger radius"
+            f"{reference}: no point of the surface has {number(chosen, 4)} around it in the reference, expected a larger radius"
         )
     small = np.full(core.shape, np.nan)
     small[core] = found

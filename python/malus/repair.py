@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from malus._core import FusedSurface
 from malus._extra import extra
+from malus.columns import number
 from malus.errors import DataError
 from malus.surface import normals_from_depth
 
@@ -22,8 +23,8 @@ def trimmed(surface: FusedSurface, largest_sigma: float) -> FusedSurface:
     kept = np.isfinite(surface.depth) & (surface.sigma <= largest_sigma)
     if not kept.any():
         raise DataError(
-            f"--trim: every pixel's standard deviation exceeds {largest_sigma:.4g}, expected a larger limit; "
-            f"the smallest is {np.nanmin(surface.sigma):.4g}"
+            f"--trim: every pixel's standard deviation exceeds {number(largest_sigma, 4)}, expected a larger limit; "
+            f"the smallest is {number(float(np.nanmin(surface.sigma)), 4)}"
         )
     depth, sigma = (np.where(kept, values, np.nan).astype(np.float32) for values in (surface.depth, surface.sigma))
     normals = np.where(kept[..., None], surface.normals, np.nan).astype(np.float32)

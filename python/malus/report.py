@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import platform
-import shutil
 import webbrowser
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import metadata
 from os import PathLike
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from malus import _core, viewer
-from malus._files import replacing, resolved, write_bytes, write_text
+from malus._files import resolved, write_bytes, write_text
 from malus.columns import aligned, decimals, number
 from malus.errors import ExternalError, InputError
 from malus.figures import Figure, Plates, encode, gray
@@ -214,7 +214,7 @@ def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = 
     """Write the report of a workspace or a result; returns the page's path.
 
     In a workspace the page is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
-    memory needs, a copy of the page alone is written there, too. Raises InputError if a file that the report shows was changed
+    memory needs, the page alone is written there, too, without links to these files. Raises InputError if a file that the report shows was changed
     after its step wrote it.
     """
     if not isinstance(work, (str, PathLike)):
@@ -222,15 +222,13 @@ def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = 
             raise InputError(f"output is missing: {work.name} is in memory, expected the path of an HTML file")
         with work.in_workspace() as folder:
             return write_report(folder, output)
-    page = _write_in(Workspace(work))
-    if output is None:
-        return page
-    with replacing(Path(output)) as temporary:
-        shutil.copyfile(page, temporary)
-    return Path(output)
+    return _write(Workspace(work), None if output is None else Path(output))
 
 
-def _write_in(workspace: Workspace) -> Path:
+def _write(workspace: Workspace, alone: Path | None) -> Path:
+    """Write the report in the workspace, and the page alone as the file `alone`, if it is given; returns this page's path, else that of
+    the report.
+    """
     quality, manifest = workspace.quality, workspace.manifest
     plates = Plates(workspace)
     steps = [step for step in STEPS if step in manifest["steps"] and step != "report"]
@@ -239,7 +237,8 @@ def _write_in(workspace: Workspace) -> Path:
     numbers = _Quality({**quality, "m3c2": m3c2})
     registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     mesh = viewer.mesh_view(workspace)
-    page = template("report.html.j2", {"aligned": aligned}).render(
+    render = partial(
+        template("report.html.j2", {"aligned": aligned}).render,
         q=numbers.element,
         named=numbers.named,
         term=_term,
@@ -274,6 +273,7 @@ def _write_in(workspace: Workspace) -> Path:
         ],
         version=_core.version,
     )
+    page = render(has_files=True)
     with workspace.recording("report") as files:
         for figure in (figure for group in figures.values() for figure in group):
             name = f"report/figures/{figure.name}"
@@ -282,7 +282,9 @@ def _write_in(workspace: Workspace) -> Path:
             write_text(workspace.folder / f"{name}.csv", figure.csv())
         files.append("report/index.html")
         write_text(workspace.folder / "report/index.html", page)
-    return workspace.folder / "report/index.html"
+    if alone is not None:
+        write_text(alone, render(has_files=False))
+    return alone or workspace.folder / "report/index.html"
 
 
 def open_report(work: str | Path) -> Path:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from malus.camera import Camera
 from malus.errors import InputError
+from malus.lengths import shown
 
 #: Long side of the pictures in a notebook, in pixels.
 _PICTURE_PX = 480
@@ -116,7 +117,7 @@ class Result:
         if self.camera is not None:
             parts.append(f"{self.camera.width} × {self.camera.height} px")
         if self.quality is not None:
-            parts.append(f"GSD {self.quality['gsd']:.4g} {self.quality['unit']}")
+            parts.append(f"GSD {shown(self.quality['gsd'], self.quality['unit'], 4)}")
         count = len(self.warnings)
         parts.append("1 warning" if count == 1 else f"{count} warnings")
         return ", ".join(parts)

@@ -139,7 +139,8 @@ def write_relight(workspace: Workspace, folder: Path, said: dict[str, str], xmp:
         "about": said,
         "materials": [{"scale": [1, 1, 1, *scale.tolist()], "bias": [0, 0, 0, *(-low / scale).tolist()]}],
     }
-    shown = np.nan_to_num(found.normals, nan=0.0)
+    # Outside of the object the normal faces the viewer, as in a normal map: one of length 0 has no direction.
+    shown = np.where(np.isfinite(found.normals).all(-1, keepdims=True), found.normals, (0.0, 0.0, 1.0))
     with new_folder(folder) as new:
         for k, plane in enumerate((found.colors, levels[..., :3], levels[..., 3:])):
             # No chroma subsampling: the channels of the planes are coefficients.

@@ -23,7 +23,7 @@ def is_scan(path: Path) -> bool:
 
 
 def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
-    """Points (N×3, in `unit`) and their normals (N×3) if the file has them.
+    """Points (N×3, in `unit`) and their unit normals (N×3, 0 where one is unknown) if the file has normals.
 
     LAS states no unit: its coordinates are taken to be in `unit`. E57 is in meters by its standard. All scans of an E57 file
     are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points.
@@ -34,7 +34,14 @@ def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
         raise InputError(f"{path}: is not a cloud that can be read ({error})") from None
     if not len(points):
         raise InputError(f"{path}: has no points")
-    return points, normals
+    return points, None if normals is None else _units(normals)
+
+
+def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Normals of length 1; (0, 0, 0), which stands for an unknown normal, where there is none or a value is not finite."""
+    known = np.where(np.isfinite(normals).all(1, keepdims=True), normals, 0)
+    lengths = np.linalg.norm(known, axis=1, keepdims=True)
+    return np.asarray(known / np.where(lengths > 0, lengths, 1), dtype=np.float32)
 
 
 def as_ply(path: Path, unit: str, folder: Path) -> Path:
@@ -100,9 +107,8 @@ def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
                 scan = file.read_scan(index, ignore_missing_fields=True)
                 points.append(np.stack([scan[name] for name in ("cartesianX", "cartesianY", "cartesianZ")], axis=1))
                 if set(names) <= set(header.point_fields):
-                    raw = file.read_scan_raw(index)
                     rotation = header.rotation_matrix if header.has_pose() else np.eye(3)
-                    normals.append(np.stack([raw[name] for name in names], axis=1) @ rotation.T)
+                    normals.append(_e57_normals(library, file, header) @ rotation.T)
         finally:
             file.close()
     except library.libe57.E57Exception as error:  # also of a damaged page among the points
@@ -113,3 +119,16 @@ def _read_e57(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
         np.ascontiguousarray(cloud / METERS[unit], dtype=np.float64),
         np.concatenate(normals).astype(np.float32) if normals and complete else None,
     )
+
+
+def _e57_normals(library: Any, file: Any, header: Any) -> NDArray[np.float64]:
+    """Normals (N×3) of the valid points of a scan, in the scan's frame. pye57 itself reads no fields of extensions."""
+    names = [*_NORMALS[".e57"], *({"cartesianInvalidState", "sphericalInvalidState"} & set(header.point_fields))]
+    count = header.point_count
+    values = {name: np.empty(count) for name in names}
+    buffers = library.libe57.VectorSourceDestBuffer()
+    for name, array in values.items():
+        buffers.append(library.libe57.SourceDestBuffer(file.image_file, name, array, count, True, True))
+    header.points.reader(buffers).read()
+    valid = np.all([values[name] == 0 for name in names[3:]], axis=0) if names[3:] else np.full(count, True)
+    return np.stack([values[name][valid] for name in names[:3]], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Required, TypedDict
@@ -100,7 +101,12 @@ class ScaleValues(TypedDict, total=False):
 
 
 class Station:
-    """A station, from a file (`Station.load`) or from arrays."""
+    """A station, from a file (`Station.load`) or from arrays. One from a file can be pickled, for a process that sees the same files:
+    there the file is read again.
+    """
+
+    _file: str | None = None
+    _curves: list[tuple[int, int]] | None = None
 
     def __init__(
         self,
@@ -191,6 +197,7 @@ class Station:
         require_utf8(path)
         station = cls.__new__(cls)
         station._core = _core.Station.load(str(path))
+        station._file = os.path.abspath(path)
         return station
 
     def with_curves_of(self, pixels: Sequence[tuple[int, int]]) -> Station:
@@ -200,8 +207,19 @@ class Station:
         pixels outside of the images.
         """
         station = Station.__new__(Station)
-        station._core = self._core.with_curves_of([(int(x), int(y)) for x, y in pixels])
+        station._file, station._curves = self._file, [(int(x), int(y)) for x, y in pixels]
+        station._core = self._core.with_curves_of(station._curves)
         return station
+
+    def __copy__(self) -> Station:
+        return self  # it never changes
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._file is None:
+            raise TypeError(
+                f"station {self.name}: is made of arrays, expected one of a file, which another process can read again; make it there"
+            )
+        return _loaded, (self._file, self._curves)
 
     @property
     def name(self) -> str:
@@ -221,6 +239,12 @@ class Station:
     def __repr__(self) -> str:
         description = self.describe()
         return f"Station({description['name']!r}, {description['image_count']} images, unit={description['unit']!r})"
+
+
+def _loaded(file: str, curves: list[tuple[int, int]] | None) -> Station:
+    """A pickled station, read again."""
+    station = Station.load(file)
+    return station if curves is None else station.with_curves_of(curves)
 
 
 def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:

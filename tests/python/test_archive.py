@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tifffile
 
 import malus
 from conftest import edit
@@ -83,6 +84,25 @@ def test_archive_has_catalog_entries_and_paradata(bag: Path, finished_grid: Path
     settings = {entity["name"]: entity["value"] for key, entity in known.items() if key.startswith("#setting-")}
     assert json.loads(settings["height.smoothness"]) == workspace.options().height.smoothness
     assert known["#OpenCV"]["softwareVersion"].startswith("4.")
+
+
+def test_names_are_escaped_in_addresses_only(small_station: Path, tmp_path: Path) -> None:
+    """Notes on a photograph had its name, with blanks, in their address, which JSON-LD does not allow."""
+    folder = small_station.parent / "pol"
+    photograph = folder / "Büste 1.tif"
+    model = (272, "s", 0, "Camera One", True)
+    tifffile.imwrite(photograph, tifffile.imread(folder / "pol_000.tif"), extratags=[model])
+    edit(small_station, "pol/pol_000.tif", "pol/Büste 1.tif")
+    work = tmp_path / "work"
+    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    with zipfile.ZipFile(malus.export(work, "archive")) as file:
+        file.extractall(tmp_path)
+    assert (tmp_path / "small/data/inputs/pol/Büste 1.tif").read_bytes() == photograph.read_bytes()
+    known = entities(tmp_path / "small")
+    assert all(re.fullmatch(r"[!-~]+", address) for address in known)
+    described = known["inputs/pol/B%C3%BCste%201.tif"]
+    assert described["name"] == "inputs/pol/Büste 1.tif"
+    assert known[described["exifData"]["@id"]]["value"] == "Camera One"
 
 
 def test_changed_or_missing_inputs_are_refused(

@@ -373,6 +373,24 @@ def test_a_missing_scheduler_is_reported(
 
 
 @needs_distributed
+def test_a_worker_uses_its_own_cores_and_must_have_the_same_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stations got as many threads as the client has cores; those of a worker of another version stayed pending, with exit code 0."""
+    import distributed
+
+    task = Task("a", str(tmp_path / "station.toml"), str(tmp_path), "{}", 7, False)
+    worker = SimpleNamespace(state=SimpleNamespace(nthreads=3))
+    monkeypatch.setattr(distributed, "get_worker", lambda: worker)
+    monkeypatch.setattr(malus.batch, "ALL_CORES", 12)
+    monkeypatch.setattr(malus.batch, "run_station", lambda task: {"threads": task.threads})
+    assert malus.batch._run_on_worker(task, None, malus.__version__) == {"threads": 4}
+    assert malus.batch._run_on_worker(task, 2, malus.__version__) == {"threads": 2}
+    with pytest.raises(malus.ExternalError, match=r"this program is 9\.9\.9; expected the same version"):
+        malus.batch._run_on_worker(task, 2, "9.9.9")
+
+
+@needs_distributed
 @pytest.mark.filterwarnings("ignore")  # Dask's own warnings while it loses a worker
 def test_a_killed_worker_loses_no_result(tiny_station_source: Path, tmp_path: Path) -> None:
     import distributed

@@ -22,7 +22,7 @@ import tifffile
 import malus
 from conftest import malus as run_malus
 from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exported, exports, scans
+from malus import _core, drawings, exported, exports, rti, scans
 from malus._files import read_record
 from malus.object import arrays
 from malus.rti import write_ptm
@@ -324,14 +324,45 @@ def test_points_at_the_rim_have_their_own_deviation(workspace: malus.Workspace) 
 def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
     library = pytest.importorskip("pye57")
     file = library.E57(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
-    scan = file.read_scan_raw(0)
+    scan = file.read_scan(0, colors=True, ignore_missing_fields=True)
     file.close()
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000
     np.testing.assert_allclose(xyz, points.reshape(-1, 3), atol=1e-6)
     # By a reader that shares no code with the writer.
     other = pytest.importorskip("e57").read_points(str(tmp_path / "a.e57"))
     np.testing.assert_allclose(np.asarray(other.points) * 1000, points.reshape(-1, 3), atol=1e-4)
-    assert len(other.color) == len(xyz)
+    mesh, _ = exports.Exporter(workspace).cloud()
+    np.testing.assert_array_equal(
+        np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], -1), mesh.colors
+    )
+    np.testing.assert_array_equal(np.rint(np.asarray(other.color) * 255), mesh.colors)
+    _, normals = scans.read_scan(tmp_path / "a.e57", "mm")
+    assert normals is not None
+    np.testing.assert_allclose(normals, mesh.normals, atol=1e-6)
+
+
+def test_xyz_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+    path = malus.export(workspace.folder, "xyz", tmp_path / "a.xyz")
+    mesh, sigma = exports.Exporter(workspace).cloud()
+    table, finest = np.loadtxt(path), 1e-3 * workspace.quality["gsd"]
+    np.testing.assert_allclose(table[:, :3], points.reshape(-1, 3), atol=finest)
+    np.testing.assert_array_equal(table[:, 3:6], mesh.colors)
+    np.testing.assert_allclose(table[:, 6:9], mesh.normals, atol=1e-5)
+    np.testing.assert_allclose(table[:, 9], sigma, atol=finest)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert {f"# {line}" for line in of_the_surface(workspace)} <= set(lines)
+    read, normals = _core.read_oriented_points(str(path))  # as a prior or a reference
+    np.testing.assert_array_equal(read, table[:, :3])
+    np.testing.assert_allclose(normals, mesh.normals, atol=1e-4)
+
+
+def test_e57_states_nothing_that_was_not_measured(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """It stated an air pressure of 0, which the standard forbids, and times in 1980."""
+    reader = pytest.importorskip("e57")
+    text = reader.raw_xml(str(malus.export(workspace.folder, "e57", tmp_path / "a.e57")))
+    assert "<cartesianBounds" in text
+    for element in ("atmosphericPressure", "temperature", "relativeHumidity", "dateTimeValue"):
+        assert element not in text
 
 
 def test_e57_far_from_the_origin_has_a_pose(
@@ -343,7 +374,7 @@ def test_e57_far_from_the_origin_has_a_pose(
     monkeypatch.setattr(exports.Exporter, "cloud", lambda _: (replace(mesh, vertices=mesh.vertices + far), sigma))
     path = malus.export(workspace.folder, "e57", tmp_path / "a.e57")
     file = library.E57(str(path))
-    scan, stored = file.read_scan(0, ignore_missing_fields=True), file.read_scan_raw(0)
+    scan, stored = (file.read_scan(0, ignore_missing_fields=True, transform=transform) for transform in (True, False))
     header = file.get_header(0)
     bounds = [[getattr(header, f"{axis}{end}imum") for axis in "xyz"] for end in ("Min", "Max")]
     file.close()
@@ -682,6 +713,18 @@ def test_relight_folder_shades_as_openlime_computes_it(workspace: malus.Workspac
     assert np.abs((planes[0] - bias[0]) * scale[0] * 255 - known.colors).mean() < 2
     with pytest.raises(malus.InputError, match="is there already"):
         malus.export(workspace.folder, "relight", folder)
+
+
+def test_relight_normals_outside_of_the_object_face_the_viewer(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There they had length 0, which a shader cannot normalize."""
+    found = rti.relightable(workspace)
+    found.normals[:10] = np.nan
+    monkeypatch.setattr(rti, "relightable", lambda _: found)
+    folder = malus.export(workspace.folder, "relight", tmp_path / "relight")
+    levels = sixteen_bits(folder / "normals.png")
+    np.testing.assert_array_equal(levels[:10], np.broadcast_to([32768, 32768, 65535], levels[:10].shape))
 
 
 def read_ptm(path: Path) -> tuple[np.ndarray, np.ndarray]:

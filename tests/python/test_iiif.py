@@ -61,6 +61,25 @@ def test_manifest_is_readable_by_another_library(finished_grid: Path, tmp_path: 
     assert np.abs(photograph - exports.Exporter(malus.Workspace(finished_grid)).picture()).mean() < 4
 
 
+@pytest.mark.parametrize(
+    ("license", "rights"),
+    [
+        ("https://creativecommons.org/licenses/by-sa/4.0/", "http://creativecommons.org/licenses/by-sa/4.0/"),
+        ("https://creativecommons.org/licenses/by/4.0", "http://creativecommons.org/licenses/by/4.0/"),
+        ("https://creativecommons.org/licenses/by/4.0/deed.de", "http://creativecommons.org/licenses/by/4.0/"),
+        ("https://creativecommons.org/licenses/by/3.0/at/legalcode", "http://creativecommons.org/licenses/by/3.0/at/"),
+        ("http://creativecommons.org/publicdomain/zero/1.0/", "http://creativecommons.org/publicdomain/zero/1.0/"),
+        ("https://rightsstatements.org/page/InC/1.0/?language=en", "http://rightsstatements.org/vocab/InC/1.0/"),
+        ("http://rightsstatements.org/vocab/NoC-US/1.0/", "http://rightsstatements.org/vocab/NoC-US/1.0/"),
+        ("CC-BY-4.0", None),
+        ("https://museum.org/licenses/by/4.0/", None),
+    ],
+)
+def test_rights_are_the_address_that_the_specification_wants(license: str, rights: str | None) -> None:
+    made = iiif.manifest("https://x.org/a", "stone", {"license": license}, [], "")
+    assert made.get("rights") == rights
+
+
 def test_wrong_addresses_and_folders_are_refused(finished_grid: Path, tmp_path: Path) -> None:
     with pytest.raises(malus.InputError, match="--url stone"):
         malus.export(finished_grid, "iiif", tmp_path / "a", url="stone")

@@ -13,6 +13,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -286,8 +287,10 @@ def test_folders_that_a_killed_writer_left_are_removed_by_the_next(tmp_path: Pat
     for folder in (left, held, of_other):
         (folder / "deep").mkdir(parents=True)
         os.utime(folder, (0, 0))
-    descriptor = os.open(held, os.O_RDONLY)
+    # A file that is open for writing: on NFS other machines see no lock of a folder.
+    descriptor = os.open(held / ".lock", os.O_RDWR | os.O_CREAT)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
+    os.utime(held, (0, 0))
     with scratch_folder(tmp_path / "a.zip") as scratch:
         assert set(tmp_path.iterdir()) == {held, of_other, scratch}
         os.utime(scratch, (0, 0))
@@ -439,3 +442,31 @@ def test_records_are_read_as_they_were_written_only(tmp_path: Path) -> None:
     for content in ("", "[]", "[" * 200_000, json.dumps({"a": 1}), path.read_text().replace("2.5", "3.5")):
         path.write_text(content)
         assert read_record(path) is None
+
+
+def test_other_threads_run_while_files_are_read_and_written(tmp_path: Path) -> None:
+    """A progress display and Studio's server stood still meanwhile."""
+    file, raster = tmp_path / "large", np.zeros((6000, 6000), np.float32)
+    with file.open("wb") as large:
+        large.truncate(400 * MB)
+    ended = threading.Event()
+    ticks: list[float] = []
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            ticks.append(time.monotonic())
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    try:
+        for work in (
+            lambda: _core.sha256_of_file(str(file)),
+            lambda: _core.write_float_tiff(str(tmp_path / "a.tif"), raster),
+        ):
+            begin = time.monotonic()
+            work()
+            end = time.monotonic()
+            assert sum(begin < at < end for at in ticks) > 3
+    finally:
+        ended.set()
+        thread.join()

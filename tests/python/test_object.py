@@ -542,6 +542,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert [row["station"] for row in quality["stations"]] == ["o0", "o1"]
     assert quality["agreement"]["rms_ratio"] < 0.05
     assert quality["mesh"]["triangles"] > 10000 and not quality["mesh"]["closed"]
+    require_statements(output)
     assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
     assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
@@ -562,6 +563,20 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     outcome = malus_here("object", pair, "-o", output, "--quiet")
     assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
     assert not (output / "object/quality.json").exists()
+
+
+def require_statements(output: Path) -> None:
+    """What the meshes state: the catalog entries of the stations, and how far each can be trusted."""
+    header = (output / "object/mesh.ply").read_bytes().split(b"end_header", 1)[0].decode()
+    comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+    confidence = json.loads((output / "stations/o0/quality.json").read_text())["confidence"]
+    trusted = " ".join([confidence["level"], *confidence["reasons"]])
+    assert {"title: Relief & label", "identifier: X 1907.4", "unit: mm", f"confidence of o0: {trusted}"} <= comments
+    for name in ("mesh.glb", "levels/0.glb"):
+        content = (output / "object" / name).read_bytes()
+        document = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
+        assert {f"{key}: {words}" for key, words in document["asset"]["extras"].items()} == comments
+        assert document["materials"][0]["doubleSided"]  # seen from behind, an open surface was not there
 
 
 def changing(file: Path, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from conftest import edit
 from conftest import malus as run_malus
 from malus import DataError, InputError, _core
-from malus.object import Object, joined_mesh, pieces, reference
+from malus.object import Object, joined_mesh, page, pieces, reference
 from malus.object.agreement import OrientedPoints
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
@@ -184,3 +184,8 @@ def test_a_reference_that_cannot_be_read_is_said_before_any_work(pair: Path) -> 
         outcome = run_malus(*command)
         assert outcome.code == 2 and "scan.ply" in outcome.err and "Traceback" not in outcome.err
     assert not (output / "stations").exists()
+
+
+def test_blue_is_in_front_of_the_reference_as_in_a_stations_map() -> None:
+    outside, inside, unknown = page._colors_of_distances(np.array([2.0, -2.0, np.nan]), 1.0).astype(int)
+    assert outside[2] > outside[0] + 100 and inside[0] > inside[2] + 100 and (unknown == unknown[0]).all()

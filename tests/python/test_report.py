@@ -408,6 +408,27 @@ def test_mesh_data_are_the_depth_map(work: Path, page: Page) -> None:
     np.testing.assert_allclose(positions[2].max() - positions[2], nearest - depth.min(), atol=2e-3)
 
 
+def test_blue_is_in_front_in_the_map_of_what_fusion_changed(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in the maps of distances from a reference and of changes; it was red."""
+    plates = figures.Plates(malus.Workspace(work))
+    own = plates.raster
+    monkeypatch.setattr(
+        plates, "raster", lambda name: own("prior/depth.tif") - 1 if name == "fused/depth.tif" else own(name)
+    )
+    (change,) = (figure for figure in plates.uncertainty() if figure.name == "fused_minus_prior")
+    red, _, blue = change.picture[change.picture.shape[0] // 3, change.picture.shape[1] // 2].astype(int)
+    assert blue > red + 40 and "Negative (blue)" in change.caption
+
+
+@pytest.mark.parametrize(("limits", "ends"), [((0, 9), "neither"), ((1, 9), "min"), ((0, 8), "max"), ((1, 8), "both")])
+def test_color_bars_show_where_values_lie_beyond_them(limits: tuple[float, float], ends: str) -> None:
+    drawing = figures.new_drawing(4, 3)
+    values = np.append(np.arange(9.0), [np.nan, 9]).reshape(1, -1)
+    picture = drawing.add_axes((0, 0.3, 1, 0.7)).imshow(values, vmin=limits[0], vmax=limits[1])
+    figures.color_bar(drawing, picture, "mm")
+    assert picture.colorbar is not None and picture.colorbar.extend == ends
+
+
 def test_reduced_rasters_average_only_valid_pixels() -> None:
     raster = np.array([[1, 3, 10], [np.nan, 5, np.nan]], np.float32)
     np.testing.assert_allclose(figures.reduced(raster, 2), [[3, 10]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +42,7 @@ def test_result_describes_itself(result: malus.Result, scene: synthetic.Scene) -
     assert len(repr(result)) < 200
     assert "converged" not in repr(result), "a solver's word says nothing of how good the surface is"
     assert "still changing when" in repr(replace(result, status="not converged"))
+    assert "GSD 60 µm" in repr(replace(result, quality={**result.quality, "gsd": 6e-5, "unit": "m"}))
 
 
 def test_notebook_shows_prior_and_surface(result: malus.Result) -> None:
@@ -68,7 +70,10 @@ def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) ->
     mesh = malus.export(result, "ply", tmp_path / "surface.ply")
     assert mesh.read_bytes().startswith(b"ply")
     page = malus.write_report(result, tmp_path / "report.html")
-    assert "in memory" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "in memory" in text and "figures/" not in re.sub(
+        r"base64,[^\"]*|<script.*?</script>", "", text, flags=re.DOTALL
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "surface.ply"]
     with pytest.raises(malus.InputError, match="output is missing"):
         malus.export(result, "ply")

@@ -35,6 +35,42 @@ def write_las(path: Path, points: np.ndarray, normals: np.ndarray) -> None:
     data.write(str(path))
 
 
+def write_e57_with_normals(path: Path, points_mm: np.ndarray, normals: np.ndarray, invalid: np.ndarray) -> None:
+    """A scan turned by a quarter turn about z, with the normals' extension, as CloudCompare writes it."""
+    import pye57
+    from pye57 import libe57
+
+    file = pye57.E57(str(path), mode="w")
+    image = file.image_file
+    image.extensionsAdd("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
+    scan, prototype, pose, rotation, translation = (libe57.StructureNode(image) for _ in range(5))
+    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # from the world's axes to the scan's
+    names = [*(f"cartesian{axis}" for axis in "XYZ"), *(f"nor:normal{axis}" for axis in "XYZ")]
+    values = np.hstack([points_mm * 1e-3 @ turn.T, normals @ turn.T])
+    arrays = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(names)}
+    for name in names:
+        prototype.set(name, libe57.FloatNode(image, 0.0, libe57.E57_DOUBLE, -10.0, 10.0))
+    arrays["cartesianInvalidState"] = invalid.astype(np.int8)
+    prototype.set("cartesianInvalidState", libe57.IntegerNode(image, 0, 0, 2))
+    for name, value in zip("wxyz", (0.5**0.5, 0, 0, 0.5**0.5), strict=True):
+        rotation.set(name, libe57.FloatNode(image, value))
+    for axis in "xyz":
+        translation.set(axis, libe57.FloatNode(image, 0.0))
+    pose.set("rotation", rotation)
+    pose.set("translation", translation)
+    scan.set("pose", pose)
+    points = libe57.CompressedVectorNode(image, prototype, libe57.VectorNode(image, True))
+    scan.set("points", points)
+    file.data3d.append(scan)
+    buffers = libe57.VectorSourceDestBuffer()
+    for name, array in arrays.items():
+        buffers.append(libe57.SourceDestBuffer(image, name, array, len(array), True, True))
+    writer = points.writer(buffers)
+    writer.write(len(points_mm))
+    writer.close()
+    file.close()
+
+
 def write_e57(path: Path, points_mm: np.ndarray) -> None:
     import pye57
 
@@ -66,6 +102,28 @@ def test_e57_is_in_meters_and_in_its_common_frame(tmp_path: Path, cloud: tuple[n
     points, normals = read_scan(tmp_path / "cloud.e57", "mm")
     np.testing.assert_allclose(points, cloud[0], atol=1e-4)
     assert normals is None
+
+
+def test_e57_with_normals_is_read_with_them(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    """Such files were refused: their normals are fields that the library's own reader does not know."""
+    pytest.importorskip("pye57")
+    invalid = np.arange(len(cloud[0])) % 5 == 2
+    write_e57_with_normals(tmp_path / "cloud.e57", *cloud, 2 * invalid)
+    points, normals = read_scan(tmp_path / "cloud.e57", "mm")
+    assert normals is not None
+    np.testing.assert_allclose(points, cloud[0][~invalid], atol=1e-9)
+    np.testing.assert_allclose(normals, cloud[1][~invalid], atol=1e-6)
+
+
+def test_normals_of_a_scan_have_length_1_or_0(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    pytest.importorskip("laspy")
+    given = 3 * cloud[1]
+    given[0], given[1] = 0, np.nan
+    write_las(tmp_path / "cloud.las", cloud[0], given)
+    _, normals = read_scan(tmp_path / "cloud.las", "mm")
+    assert normals is not None
+    np.testing.assert_allclose(normals[2:], cloud[1][2:], atol=1e-6)
+    np.testing.assert_array_equal(normals[:2], 0)
 
 
 @pytest.mark.parametrize("name", ["scan.las", "scan.e57"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,22 @@ def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], t
     # The numbers of 8 bits are rounded, whether they come from a file or not.
     noises = [malus.Workspace(work).manifest["steps"]["polarization"]["notes"]["noise"] for work in works]
     assert noises[0] == noises[1] and (noises[0]["quantization"] > 0) == (kind is np.uint8)
+
+
+def test_a_station_of_a_file_can_be_sent_to_another_process(
+    small_station: Path, pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(small_station.parent)
+    station = malus.Station.load(small_station.name)
+    sent = [pickle.dumps(one) for one in (station, station.with_curves_of([(3, 4), (50, 60)]))]
+    monkeypatch.chdir(tmp_path)
+    expected = malus.Station.load(small_station)
+    for one, told in zip(sent, (expected, expected.with_curves_of([(3, 4), (50, 60)])), strict=True):
+        assert pickle.loads(one).describe() == told.describe()
+    of_arrays = in_memory(pictures)
+    assert copy.copy(of_arrays).describe() == of_arrays.describe()
+    with pytest.raises(TypeError, match="station words: is made of arrays"):
+        pickle.dumps(of_arrays)
 
 
 def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Path) -> None:

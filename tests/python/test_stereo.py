@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +186,23 @@ def test_incomplete_sweep_drops_depths_that_the_fused_surface_contradicts(
     assert first.figures["first"]["completeness"] == pytest.approx(before.mean())
     np.testing.assert_array_equal(first.depth, second.depth)
     np.testing.assert_array_equal(first.shape, second.shape)
+
+
+def test_few_masks_make_no_hull_and_leave_the_sweep(
+    scene: dict[str, object], placed: StationCameras, tmp_path: Path
+) -> None:
+    """On a turntable photos need masks for their cameras' sake; with three photos the sweep ended for want of a fourth mask."""
+    mask = tmp_path / "mask.png"
+    _core.write_png(str(mask), np.full((HEIGHT, WIDTH), 255, np.uint8))
+    photos = [(replace(photo, mask=mask), camera) for photo, camera in placed.photos[:3]]
+    told: list[str] = []
+    swept = front_end.sweep_station(
+        replace(placed, photos=photos), scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path / "work",
+        options=malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40}), threads=1, progress=lambda *_: None,
+        log=lambda level, message: told.append(message),
+    )  # fmt: skip
+    assert swept.hull is None and np.isfinite(swept.depth).mean() > 0.5
+    assert any("a visual hull is made of at least 4" in message for message in told)
 
 
 RADIUS = 25.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,10 @@ def encoded(image: NDArray[np.uint8], kind: str, *, lossless: bool = False) -> b
     return encode(image, kind, quality=_QUALITY, lossless=lossless)
 
 
-def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> bytes:
-    """A textured mesh as a GLB file: meters, with its origin at the middle of the object.
+def glb(
+    mesh: TexturedMesh, unit: str, name: str, said: Mapping[str, str] | None = None, *, webp: bool = False
+) -> bytes:
+    """A textured mesh as a GLB file: meters, with its origin at the middle of the object; `said` goes into asset.extras.
 
     Textures are JPEG and PNG, which every reader of glTF supports; or WebP, which is smaller, for readers of EXT_texture_webp (Blender,
     three.js).
@@ -53,7 +56,7 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
     accessors[0] |= {"min": points.min(0).tolist(), "max": points.max(0).tolist()}
     attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
     document = {
-        "asset": {"version": "2.0", "generator": "Malus"},
+        "asset": {"version": "2.0", "generator": "Malus", **({"extras": dict(said)} if said else {})},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": name, "extras": {"origin": middle.tolist(), "unit": unit}}],
@@ -62,6 +65,7 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
             {
                 "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0, "roughnessFactor": 0.9},
                 "normalTexture": {"index": 1},
+                "doubleSided": True,  # an open surface is also seen from behind
             }
         ],
         "textures": [{"extensions": {_WEBP: {"source": k}}} if webp else {"source": k} for k in range(2)],
@@ -83,17 +87,22 @@ def glb(mesh: TexturedMesh, unit: str, name: str, *, webp: bool = False) -> byte
 
 
 def write_levels(
-    folder: Path, levels: list[TexturedMesh], unit: str, name: str, texture_format: str = "webp"
+    folder: Path,
+    levels: list[TexturedMesh],
+    unit: str,
+    name: str,
+    texture_format: str = "webp",
+    said: Mapping[str, str] | None = None,
 ) -> tuple[list[Path], list[dict[str, Any]]]:
     """Write mesh.glb (JPEG and PNG textures), albedo.glb if the albedo is known, and levels/0.glb … (WebP textures, or with
-    texture_format "jpeg" JPEG and PNG). Returns the files and the figures of each level.
+    texture_format "jpeg" JPEG and PNG). All state `said`. Returns the files and the figures of each level.
     """
     paths = [folder / "mesh.glb", *(folder / "levels" / f"{k}.glb" for k in range(len(levels)))]
     webp = texture_format == "webp"
-    contents = [glb(levels[0], unit, name), *(glb(level, unit, name, webp=webp) for level in levels)]
+    contents = [glb(levels[0], unit, name, said), *(glb(level, unit, name, said, webp=webp) for level in levels)]
     if levels[0].albedo is not None:
         paths.append(folder / "albedo.glb")
-        contents.append(glb(replace(levels[0], color=levels[0].albedo), unit, name))
+        contents.append(glb(replace(levels[0], color=levels[0].albedo), unit, name, said))
     for path, content in zip(paths, contents, strict=True):
         write_bytes(path, content)
     figures = [

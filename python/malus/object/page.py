@@ -63,7 +63,7 @@ def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
 def write_distances(
     folder: Path, distances: NDArray[np.float32], mesh: ObjectMesh, views: Sequence[View], gsd: float
 ) -> list[Path]:
-    """A PNG for each station: distance of the mesh (N vertices) from its reference where the station sees it, blue inside, red outside."""
+    """A PNG for each station: distance of the mesh (N vertices) from its reference where the station sees it, blue outside, red inside."""
     find = NearestVertices(mesh)
     paths = []
     for view in views:
@@ -80,7 +80,8 @@ def write_distances(
 
 
 def _colors_of_distances(distances: NDArray[np.floating], gsd: float) -> NDArray[np.uint8]:
-    return colors_of((np.asarray(distances, np.float64) / (_MOST_DISTANCE_GSD * gsd) + 1) / 2)
+    # Blue is in front, as in the maps of a station.
+    return colors_of((1 - np.asarray(distances, np.float64) / (_MOST_DISTANCE_GSD * gsd)) / 2)
 
 
 def _turntable(

@@ -18,7 +18,7 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def write_ply(
-    path: Path, vertices: Mapping[str, tuple[NDArray[Any], str]], triangles: NDArray[np.integer] | None, comment: str
+    path: Path, vertices: Mapping[str, tuple[NDArray[Any], str]], triangles: NDArray[np.integer] | None, *comments: str
 ) -> None:
     """Write a cloud, or a mesh with triangles M×3. vertices: for each property N values and their type: f4, f8, u1 or i4.
 
@@ -26,7 +26,12 @@ def write_ply(
     """
     kind = np.dtype([(name, "<" + type_) for name, (_, type_) in vertices.items()])
     count = len(next(iter(vertices.values()))[0])
-    lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {count}"]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {line}" for line in comments),
+        f"element vertex {count}",
+    ]
     lines += [f"property {_TYPES[type_]} {name}" for name, (_, type_) in vertices.items()]
     if triangles is not None:
         lines += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]

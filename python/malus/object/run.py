@@ -34,6 +34,7 @@ from malus.object.ply import write_ply
 from malus.object.reference import Comparison
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import Floats, View, load_view, sees, stored
+from malus.object.words import said_of_object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
@@ -250,8 +251,9 @@ def _fuse(
         albedos = Albedos.of(views, folder.parent / "stations", scratch / "albedo")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
-        coverage = _write_mesh(folder / "mesh.ply", mesh, paint, thing, scratch)
-        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format)
+        said = said_of_object(thing, done, folder.parent, gsd)
+        coverage = _write_mesh(folder / "mesh.ply", mesh, paint, said, scratch)
+        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
         comparison, compared = _compared(thing, mesh, views, gsd, threads)
         files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
@@ -379,7 +381,7 @@ class Coverage:
     alone: Floats
 
 
-def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, thing: Object, scratch: Path) -> Coverage:
+def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, str], scratch: Path) -> Coverage:
     colors, stations = GrowingArray(scratch / "colors", np.uint8, 3), GrowingArray(scratch / "stations", np.uint8)
     seen, alone = np.zeros(len(paint.views)), np.zeros(len(paint.views))
     for rows in chunks(len(mesh.vertices)):
@@ -399,7 +401,7 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, thing: Object, scrat
     paints = colors.array()
     values |= {name: (paints[:, axis], "u1") for axis, name in enumerate(("red", "green", "blue"))}
     values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations.array(), "u1")}
-    write_ply(path, values, mesh.triangles, f"{thing.name}, lengths in {thing.unit}, world frame")
+    write_ply(path, values, mesh.triangles, *(f"{key}: {words}" for key, words in said.items()))
     count = len(mesh.vertices)
     return Coverage(seen / count, alone / count)
 

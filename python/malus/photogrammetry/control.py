@@ -97,7 +97,9 @@ def move_model(source: Path, target: Path, datum: Mapping[str, Any]) -> None:
     model = _core.ColmapModel.read(str(source))
     model.transform(float(datum["scale"]), np.array(datum["rotation"]), np.array(datum["translation"]))
     target.mkdir(parents=True, exist_ok=True)
-    with scratch_folder(target) as written:
+    with scratch_folder(target) as scratch:
+        written = scratch / "model"
+        written.mkdir()
         model.write(str(written))
         for file in sorted(written.iterdir()):
             if not ((target / file.name).is_file() and filecmp.cmp(file, target / file.name, shallow=False)):

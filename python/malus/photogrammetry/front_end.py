@@ -319,7 +319,7 @@ class Swept:
     times: dict[str, Any]
     """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
     hull: Hull | None = None
-    """Visual hull, for the pixels without a depth; None = no photo has a mask."""
+    """Visual hull, for the pixels without a depth; None = none or too few of the photos have a mask."""
 
     def rasters(self) -> dict[str, NDArray[np.float32]]:
         """Rasters of the C++ library's SweptDepth by name."""
@@ -405,10 +405,18 @@ class _Sweep:
     journal: Journal
 
     def hull(self) -> Hull | None:
-        """The visual hull of all outlines, or None without masks."""
+        """The visual hull of all outlines, or None without masks, and, with a warning, with too few of them."""
         masked = [(photo.name, photo.mask, camera) for photo, camera in self.cameras.photos if photo.mask is not None]
         masked += self.cameras.silhouettes
         if not masked:
+            return None
+        if len(masked) < _core.least_silhouettes:
+            # No error: the photos may agree on a surface, and on a turntable masks are there for its sake, not for a hull.
+            self.journal.log(
+                "warning",
+                f"{len(masked)} of the images that are placed have a mask: a visual hull is made of at least "
+                f"{_core.least_silhouettes}, so there is none where photos do not agree",
+            )
             return None
         hashes = self.journal.watch({f"mask of {name}": mask for name, mask, _ in masked})
         silhouettes = [(str(mask), camera.values()) for _, mask, camera in masked]
