@@ -31,7 +31,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
-from malus.photogrammetry.photos import Photo, list_photos, photos_of, require_enough_masks, to_bytes, with_masks
+from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
 from malus.workspace import STEPS
 
@@ -404,9 +404,6 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
         "a.jpg": masks / "a.jpg.png", "b.jpg": masks / "b.png", "c.jpg": masks / "c_mask.png", "e.jpg": None,
         "sub/d.jpg": masks / "sub/d.jpg.mask.png",
     }  # fmt: skip
-    require_enough_masks(photos_of(said))
-    with pytest.raises(package.DataError, match="masks: 3 of 4 photos have a mask, expected at least 4"):
-        require_enough_masks(photos_of({**said, "exclude": ["a.jpg"]}))
     _core.write_png(str(masks / "e.png"), np.full((8, 11), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 11 x 8 pixels, expected 12 x 8 as e.jpg"):
         photos_of(said)

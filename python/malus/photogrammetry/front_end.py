@@ -30,7 +30,7 @@ from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
-from malus.photogrammetry.photos import Photo, describe_photo, photos_of, require_enough_masks
+from malus.photogrammetry.photos import Photo, describe_photo, photos_of
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale
 from malus.photogrammetry.station_pose import (
@@ -196,7 +196,6 @@ def _bench(
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
     """The photos that [photos] names, and their cameras. said: `path`, `photos`, `scale` and `control`."""
     photos = photos_of(said["photos"])
-    require_enough_masks(photos)
     require_marks_in_photos(said, photos)
     require_control_points(said, [photo.name for photo in photos])
     solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))

@@ -17,14 +17,12 @@ from PIL import ExifTags
 from malus import _core, raw
 from malus._files import require_utf8
 from malus._patterns import MOST_NAMES
-from malus.errors import DataError, InputError, MalusError
+from malus.errors import InputError, MalusError
 from malus.exif import number_of, tags_of
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
-#: Fewer masks of photos give no visual hull (least_silhouettes in stereo/visual_hull_internal.h).
-_LEAST_MASKS = 4
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -168,15 +166,6 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
             f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
         )
     return found
-
-
-def require_enough_masks(photos: Sequence[Photo]) -> None:
-    """DataError if some photos have masks, but too few for a visual hull; the run would end with this error after the matching."""
-    masks = sum(photo.mask is not None for photo in photos)
-    if 0 < masks < _LEAST_MASKS:
-        raise DataError(
-            f"[photos] masks: {masks} of {len(photos)} photos have a mask, expected at least {_LEAST_MASKS}, from many sides"
-        )
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from malus import _core
 from malus.errors import DataError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
@@ -14,7 +15,7 @@ from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
-from malus.photogrammetry.photos import photos_of, require_enough_masks
+from malus.photogrammetry.photos import photos_of
 from malus.photogrammetry.program import Colmap
 
 
@@ -59,7 +60,11 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     masks = sum(photo.mask is not None for photo in photos)
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
-    require_enough_masks(photos)
+    if 0 < masks < _core.least_silhouettes:
+        warnings.append(
+            f"[photos] masks: {masks} of {len(photos)} photos have a mask; a visual hull is made of at least "
+            f"{_core.least_silhouettes}, from many sides"
+        )
     require_marks_in_photos(station, photos)
     require_control_points(station, [photo.name for photo in photos])
     program = Colmap(threads, options.photos.backend)
