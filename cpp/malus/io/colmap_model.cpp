@@ -11,35 +11,19 @@
 namespace malus {
 namespace {
 
-/// COLMAP's numbers of its camera models; models without a counterpart here have a name for the message only.
-struct ModelId {
-  int id;
-  std::string_view name;
-};
-constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE"},
-                                 {1, "PINHOLE"},
-                                 {2, "SIMPLE_RADIAL"},
-                                 {3, "RADIAL"},
-                                 {4, "OPENCV"},
-                                 {5, "OPENCV_FISHEYE"},
-                                 {6, "FULL_OPENCV"},
-                                 {7, "FOV"},
-                                 {8, "SIMPLE_RADIAL_FISHEYE"},
-                                 {9, "RADIAL_FISHEYE"},
-                                 {10, "THIN_PRISM_FISHEYE"},
-                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE"}};
+/// COLMAP's camera models in the order of their numbers; those without a counterpart here are for messages only.
+constexpr auto model_names = std::to_array<std::string_view>(
+    {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"});
 
-LensModel model_of_id(int id, const std::string& where) {
-  for (const ModelId& entry : model_ids) {
-    if (entry.id == id) return lens_model(entry.name, where);
-  }
-  return lens_model(std::to_string(id), where);
+LensModel model_of_id(std::int32_t id, const std::string& where) {
+  const auto index = static_cast<std::size_t>(id);
+  return lens_model(index < model_names.size() ? std::string(model_names[index]) : std::to_string(id), where);
 }
 
-int id_of_model(LensModel model) {
-  for (const ModelId& entry : model_ids) {
-    if (entry.name == to_string(model)) return entry.id;
-  }
+std::int32_t id_of_model(LensModel model) {
+  const auto found = std::ranges::find(model_names, to_string(model));
+  if (found != model_names.end()) return static_cast<std::int32_t>(found - model_names.begin());
   throw input_error("camera model " + std::string(to_string(model)) + " cannot be written as a COLMAP model");
 }
 
@@ -330,7 +314,7 @@ constexpr std::string_view images_header =
 std::string camera_record(std::uint32_t id, const LensCamera& camera) {
   std::string record;
   append(record, id);
-  append(record, static_cast<std::int32_t>(id_of_model(camera.model)));
+  append(record, id_of_model(camera.model));
   append(record, static_cast<std::uint64_t>(camera.size.width));
   append(record, static_cast<std::uint64_t>(camera.size.height));
   for (const double parameter : to_colmap_pixels(camera).params) append(record, parameter);

@@ -23,7 +23,6 @@ struct Reader {
 
   ImageHeader header;
   int bits = 8;
-  int channels_read = 1;
   std::size_t row_bytes = 0;
   LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
@@ -66,8 +65,7 @@ bool read_header(Reader& reader) {
   reader.header.size = {static_cast<int>(png_get_image_width(reader.png, reader.info)),
                         static_cast<int>(png_get_image_height(reader.png, reader.info))};
   reader.bits = depth == 16 ? 16 : 8;
-  reader.channels_read = png_get_channels(reader.png, reader.info);
-  reader.header.channels = reader.channels_read;
+  reader.header.channels = png_get_channels(reader.png, reader.info);
   reader.row_bytes = png_get_rowbytes(reader.png, reader.info);
   return true;
 }
