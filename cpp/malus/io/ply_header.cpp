@@ -3,6 +3,8 @@
 #include <charconv>
 #include <cstring>
 #include <fstream>
+#include <iterator>
+#include <sstream>
 #include <utility>
 
 #include "malus/io/ply_header_internal.h"
@@ -28,13 +30,8 @@ constexpr std::array<std::pair<std::string_view, PlyType>, 16> type_names{{{"cha
                                                                            {"float64", PlyType::float64}}};
 
 std::vector<std::string> words_of(std::string_view line) {
-  std::vector<std::string> words;
-  for (std::size_t at = 0; (at = line.find_first_not_of(" \t", at)) != std::string_view::npos;) {
-    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
-    words.emplace_back(line.substr(at, end - at));
-    at = end;
-  }
-  return words;
+  std::istringstream words{std::string(line)};
+  return std::vector<std::string>(std::istream_iterator<std::string>(words), {});
 }
 
 PlyType type_of(const InputFile& file, const std::string& name) {
