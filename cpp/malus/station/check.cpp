@@ -6,7 +6,6 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <sstream>
 
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/response_internal.h"
@@ -32,9 +31,7 @@ void warn(Plan& plan, const Finding& finding) {
 }
 
 std::string with_count(double count, const std::string& noun) {
-  std::ostringstream text;
-  text << static_cast<long long>(count) << ' ' << noun;
-  return text.str();
+  return std::to_string(static_cast<long long>(count)) + ' ' + noun;
 }
 
 /// Reads every image; warns of images that are clipped or dark on the object. Throws what the run would throw for an
