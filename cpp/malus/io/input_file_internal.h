@@ -12,6 +12,10 @@
 
 namespace malus {
 
+/// Throws ErrorCode::input unless the whole path is UTF-8, as all code that records or shows paths expects. `what`
+/// states what the file or folder is for.
+void require_utf8(const std::filesystem::path& path, const std::string& what);
+
 /// Size in bytes of a file a user named. Throws ErrorCode::input unless it is a regular, readable, non-empty file.
 /// `what` says what the file is for ("polarized image"); the message names it, the path and the reason.
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what);

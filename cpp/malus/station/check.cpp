@@ -18,7 +18,6 @@
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"
-#include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_internal.h"
 
 namespace malus {

@@ -4,6 +4,7 @@
 #include "malus/io/station_file_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
+#include "malus/station/prior_scale_internal.h"
 
 namespace malus {
 namespace {
@@ -88,6 +89,14 @@ std::string describe_station_json(const Station& station) {
   json["patches"] = fields_to_json(file.patches);
   json["profiles"] = fields_to_json(file.profiles);
   return json.dump();
+}
+
+std::vector<std::string> station_warnings(const Station& station) {
+  std::vector<std::string> warnings = scale_warnings(station.file);
+  // The camera from a model of photos is in the control points' frame only after the photogrammetry.
+  if (station.file.frame_is_of_photos() && !station.photogrammetry) return warnings;
+  for (std::string& warning : control_warnings(station.file)) warnings.push_back(std::move(warning));
+  return warnings;
 }
 
 }  // namespace malus
