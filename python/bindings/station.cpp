@@ -44,54 +44,49 @@ Station station_from_arrays(std::vector<Image<float>>& images, const CameraValue
 
 /// The station with the camera and, after the sweep, the prior from its photos, with the photogrammetry's figures for
 /// the report. swept: the rasters of a SweptDepth by name, without those that are empty.
-Station with_photogrammetry(const Station& station, const CameraValues& camera,
+Station with_photogrammetry(Station station, const CameraValues& camera,
                             std::optional<std::map<std::string, Image<float>>>& swept, const std::string& figures,
                             const std::string& times, const std::vector<std::string>& warnings) {
-  Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
-  result.file.camera = CameraSpec{lens, pose};
+  station.file.camera = CameraSpec{lens, pose};
   if (swept) {
     const auto take = [&](const char* name) { return std::move((*swept)[name]); };
-    result.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
+    station.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
   }
-  result.photogrammetry = Photogrammetry{figures, times, warnings};
-  return result;
+  station.photogrammetry = Photogrammetry{figures, times, warnings};
+  return station;
 }
 
 /// The station with other pixels for the curves of intensity against polarizer angle.
-Station with_curves_of(const Station& station, const std::vector<std::array<double, 2>>& pixels) {
-  Station result = station;
-  result.file = with_curve_pixels(std::move(result.file), pixels);
-  return result;
+Station with_curves_of(Station station, const std::vector<std::array<double, 2>>& pixels) {
+  station.file = with_curve_pixels(std::move(station.file), pixels);
+  return station;
 }
 
 /// The station with a cloud as prior in place of the prior's file.
-Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
-  Station result = station;
-  result.prior = to_cloud(points, normals);
-  return result;
+Station with_cloud(Station station, const Array<double>& points, const std::optional<Array<float>>& normals) {
+  station.prior = to_cloud(points, normals);
+  return station;
 }
 
 /// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. The noise figures
 /// of the RAW files (electrons) are used only if the station states none.
-Station with_developed(const Station& station, const std::vector<std::string>& images,
-                       std::optional<double> full_well_e, std::optional<double> read_noise_e) {
-  Station result = station;
-  PolarizedSpec& spec = result.file.polarized;
+Station with_developed(Station station, const std::vector<std::string>& images, std::optional<double> full_well_e,
+                       std::optional<double> read_noise_e) {
+  PolarizedSpec& spec = station.file.polarized;
   spec.images.assign(images.begin(), images.end());
   if (!spec.full_well_e && !spec.read_noise_e) {
     spec.full_well_e = full_well_e;
     spec.read_noise_e = read_noise_e;
   }
-  return result;
+  return station;
 }
 
 /// The station with warnings about its files, each with message and suggestion.
-Station with_file_doubts(const Station& station, const std::vector<std::pair<std::string, std::string>>& doubts) {
-  Station result = station;
+Station with_file_doubts(Station station, const std::vector<std::pair<std::string, std::string>>& doubts) {
   for (const auto& [message, suggestion] : doubts)
-    result.file_findings.push_back({"encoding", Severity::warning, message, suggestion, {}});
-  return result;
+    station.file_findings.push_back({"encoding", Severity::warning, message, suggestion, {}});
+  return station;
 }
 
 /// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
