@@ -45,7 +45,7 @@ Keys joined(std::initializer_list<Keys> lists) {
 
 /// Keys of a spec's fields, and `keys`, which only the file has.
 template <class Spec>
-std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_view> keys = {}) {
+Keys keys_of(const Spec& spec, Keys keys = {}) {
   Spec::fields(spec, [&keys](std::string_view key, const auto&...) { keys.push_back(key); });
   return keys;
 }
@@ -66,8 +66,7 @@ const toml::table* section(const TomlTable& document, std::string_view key) {
 }
 
 /// The same, but with its keys checked.
-std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key,
-                                         const std::vector<std::string_view>& keys) {
+std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key, const Keys& keys) {
   const toml::table* table = section(document, key);
   return table ? std::optional(TomlTable(*table, document.file(), "[" + std::string(key) + "]", keys)) : std::nullopt;
 }
@@ -82,6 +81,14 @@ std::vector<const toml::table*> tables(const TomlTable& table, std::string_view 
     if (!element.is_table()) throw table.wrong(key, expected);
     result.push_back(element.as_table());
   }
+  return result;
+}
+
+/// The tables of an array like [[scale]], with their keys checked.
+std::vector<TomlTable> numbered_tables(const TomlTable& document, const std::string& key, const Keys& keys) {
+  std::vector<TomlTable> result;
+  for (const toml::table* table : tables(document, key, "tables [[" + key + "]]"))
+    result.emplace_back(*table, document.file(), "[[" + key + "]] " + std::to_string(result.size() + 1), keys);
   return result;
 }
 
@@ -367,9 +374,7 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
 std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station) {
   std::vector<ControlPoint> points;
   std::set<std::string> names;
-  for (const toml::table* entry : tables(document, "control", "tables [[control]]")) {
-    const TomlTable table(*entry, document.file(), "[[control]] " + std::to_string(points.size() + 1),
-                          keys_of(ControlPoint{}));
+  for (const TomlTable& table : numbered_tables(document, "control", keys_of(ControlPoint{}))) {
     ControlPoint point;
     point.name = read_name(table, points.size(), names);
     point.xyz = table.required(table.numbers_exactly<3>("xyz"), "xyz", "the coordinates [X, Y, Z]");
@@ -564,7 +569,7 @@ double read_radius(const TomlTable& table) {
 
 /// [prior].plane, .sphere or .cylinder; nothing without them.
 std::optional<Shape> read_shape(const TomlTable& table) {
-  const auto inner = [&table](std::string_view key, const std::vector<std::string_view>& known) {
+  const auto inner = [&table](std::string_view key, const Keys& known) {
     const toml::table* found = section(table, key);
     return found ? std::optional(TomlTable(*found, table.file(), "[prior]." + std::string(key), known)) : std::nullopt;
   };
@@ -665,7 +670,7 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
 
 /// Reads all bars; the bars of a given prior scale the prior and the camera's position.
 void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
-  const auto bars = tables(document, "scale", "tables [[scale]]");
+  const std::vector<TomlTable> bars = numbered_tables(document, "scale", keys_of(ScaleBar{}));
   if (bars.empty()) return;
   if (!station.control.empty()) {
     throw document.error("scale",
@@ -681,10 +686,7 @@ void read_scale_bars(const TomlTable& document, StationFile& station, bool has_p
     throw document.error("scale",
                          "needs [photos], in which its ends are marked, or [prior] and [camera], which it scales");
   }
-  for (std::size_t i = 0; i < bars.size(); ++i) {
-    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1), keys_of(ScaleBar{}));
-    station.scale_bars.push_back(read_scale_bar(table, station.photos));
-  }
+  for (const TomlTable& bar : bars) station.scale_bars.push_back(read_scale_bar(bar, station.photos));
   if (station.photos) return;
   std::optional<ColmapModel> model;
   const toml::table* camera = section(document, "camera");
@@ -726,9 +728,9 @@ ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
 }
 
 /// Keys of [polarized]; without the keys of files if the images are in memory.
-std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
+Keys polarized_keys(const GivenInMemory* given) {
   if (given == nullptr) return keys_of(PolarizedSpec{}, {"angle_pattern"});
-  std::vector<std::string_view> keys = keys_of(PolarizedSpec{});
+  Keys keys = keys_of(PolarizedSpec{});
   std::erase_if(keys, [](std::string_view key) { return key == "images" || key == "mask"; });
   return keys;
 }
@@ -747,17 +749,11 @@ void require_in_image(const std::vector<std::array<double, 2>>& curve_pixels, Si
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   require_in_image(station.polarized.curve_pixels, size, document.where("[polarized].curve_pixels"));
   std::set<std::string> names;
-  for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
-    const std::size_t index = station.patches.size();
-    const TomlTable table(*entry, document.file(), "[[patch]] " + std::to_string(index + 1), {"name", "box"});
-    station.patches.push_back(read_patch(table, read_name(table, index, names), size));
-  }
+  for (const TomlTable& table : numbered_tables(document, "patch", {"name", "box"}))
+    station.patches.push_back(read_patch(table, read_name(table, station.patches.size(), names), size));
   names.clear();
-  for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
-    const std::size_t index = station.profiles.size();
-    const TomlTable table(*entry, document.file(), "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
-    station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
-  }
+  for (const TomlTable& table : numbered_tables(document, "profile", keys_of(ProfileSpec{})))
+    station.profiles.push_back(read_profile(table, read_name(table, station.profiles.size(), names), size));
 }
 
 }  // namespace
@@ -766,28 +762,27 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
                                 const GivenInMemory* given) {
   StationFile station;
   station.path = path;
-  std::vector<std::string_view> known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
+  Keys known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
   if (given == nullptr) known.insert(known.end(), {"camera", "photos", "control"});
   const TomlTable document(root, path, "", known);
-  const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& keys) {
-    return checked_section(document, key, keys);
-  };
 
   station.name = path.parent_path().filename().string();
-  if (const auto table = optional_section("station", {"name", "unit"})) {
+  if (const auto table = checked_section(document, "station", {"name", "unit"})) {
     station.name = table->text("name").value_or(station.name);
     station.unit = read_unit(*table, station.unit);
   }
-  if (const auto table = optional_section("object", keys_of(ObjectSpec{}))) read_fields(*table, station.object);
-  const auto polarized = document.required(optional_section("polarized", polarized_keys(given)), "polarized",
+  if (const auto table = checked_section(document, "object", keys_of(ObjectSpec{})))
+    read_fields(*table, station.object);
+  const auto polarized = document.required(checked_section(document, "polarized", polarized_keys(given)), "polarized",
                                            "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized, given);
-  if (const auto table = optional_section("optics", {"refractive_index", "reflection", "light"}))
+  if (const auto table = checked_section(document, "optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
-  if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
+  if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
+    station.photos = read_photos(*table);
   const bool prior_in_memory = given != nullptr && given->has_prior;
   if (const auto table =
-          optional_section("prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
+          checked_section(document, "prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
     station.prior = read_prior(*table, prior_in_memory);
     station.prior_sigma = table->number("sigma", length_range);
   }
@@ -800,7 +795,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     images = size_of_images(station, polarized.where("images"));
   }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = optional_section("camera", camera_keys)) read_camera(document, *table, images, station);
+  if (const auto table = checked_section(document, "camera", camera_keys))
+    read_camera(document, *table, images, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
@@ -824,7 +820,7 @@ StationFile read_photos_tables(const std::filesystem::path& path) {
   StationFile station;
   station.path = std::filesystem::absolute(path).lexically_normal();
   const toml::table root = read_toml(station.path, "file");
-  std::vector<std::string_view> all;
+  Keys all;
   for (const auto& entry : root) all.push_back(entry.first.str());
   const TomlTable document(root, station.path, "", all);
   if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
