@@ -47,7 +47,7 @@ void bind_io(py::module_& module) {
   module.def("read_points",
              [](const std::string& path) { return to_array<double>(read_point_cloud(path, {}, "reference").points); });
   module.def("read_cloud_or_mesh", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
-    const TriangleMesh mesh = read_cloud_or_mesh(path, {}, "reference");
+    const TriangleMesh mesh = read_cloud_or_mesh(path);
     if (mesh.triangles.empty()) return {to_array<double>(mesh.vertices.points), py::none()};
     return {to_array<double>(mesh.vertices.points), to_array<std::uint32_t>(mesh.triangles)};
   });

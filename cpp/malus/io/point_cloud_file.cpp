@@ -573,16 +573,16 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
   return read_xyz(file, context);
 }
 
-TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
-  InputFile file(path, what);
+TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context) {
+  InputFile file(path, "mesh");
   if (!is_ply(path)) throw file.error("is not a PLY file");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
   if (mesh.triangles.empty()) throw file.error("has no faces");
   return mesh;
 }
 
-TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
-  InputFile file(path, what);
+TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context) {
+  InputFile file(path, "reference");
   if (is_ply(path)) return read_ply(file, PlyParts::vertices_and_faces, context);
   require_text(path, file);
   return {read_xyz(file, context), {}};

@@ -9,6 +9,8 @@
 
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/response_internal.h"
+#include "malus/core/digits_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
@@ -29,8 +31,8 @@ void warn(Plan& plan, const Finding& finding) {
   if (finding.severity >= Severity::warning) plan.confidence.limit(ConfidenceLevel::low, finding.text());
 }
 
-std::string with_count(double count, const std::string& noun) {
-  return std::to_string(static_cast<long long>(count)) + ' ' + noun;
+std::string with_count(std::size_t count, const std::string& noun) {
+  return std::to_string(count) + ' ' + noun;
 }
 
 /// Reads every image; warns of images that are clipped or dark on the object. Throws what the run would throw for an
@@ -59,8 +61,7 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
     }
     const double share = clipped / plan.object_pixels;
     if (share > 0.01) {
-      plan.warnings.push_back(input.names[k] + ": " +
-                              with_count(std::round(100 * share), "% of the object's pixels are saturated"));
+      plan.warnings.push_back(input.names[k] + ": " + percent(share) + " of the object's pixels are saturated");
     }
     if (brightest < 0.2 * white) {
       plan.warnings.push_back(input.names[k] +
@@ -99,8 +100,8 @@ struct PriorCheck {
     const CameraSpec& camera = *station.file.camera;
     const std::string& unit = station.file.unit;
     const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
-    const std::string share = with_count(static_cast<double>(found.size()), "of the cloud's ") +
-                              with_count(static_cast<double>(cloud.points.size()), "points fall on the object");
+    const std::string share =
+        with_count(found.size(), "of the cloud's ") + with_count(cloud.points.size(), "points fall on the object");
     if (static_cast<double>(found.size()) < options.min_points) {
       const std::string why = why_cloud_misses(cloud, camera.pose, camera.lens.pinhole(), object, unit);
       throw data_error(share + ", expected at least " + std::to_string(options.min_points) +
@@ -115,7 +116,7 @@ struct PriorCheck {
     return share;
   }
   std::string operator()(const MeshFile& file) const {
-    return "mesh of " + with_count(static_cast<double>(read_mesh(file.path, context).triangles.size()), "triangles");
+    return "mesh of " + with_count(read_mesh(file.path, context).triangles.size(), "triangles");
   }
   std::string operator()(const DepthFile& file) const {
     return (*this)(read_float_raster(file.path, "prior depth map"));
@@ -132,14 +133,10 @@ struct PriorCheck {
 std::string describe_images(const Station& station) {
   const StationFile& file = station.file;
   const std::size_t images = station.in_memory() ? station.images.size() : file.polarized.images.size();
-  std::string text = with_count(static_cast<double>(images), file.polarized.mosaic ? "mosaic" : "images");
+  std::string text = with_count(images, file.polarized.mosaic ? "mosaic" : "images");
   if (file.camera && file.camera->lens.has_distortion())
     text += ", undistorted from " + std::string(to_string(file.camera->lens.model));
   return text;
-}
-
-double pixels_on(const Mask& object) {
-  return static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
 }
 
 /// The station as the Python package hands it over once the prior is made from its photos.
@@ -152,10 +149,9 @@ void warn_of_memory(Plan& plan) {
   const double machine_mb =
       1e-6 * static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
   if (plan.memory_mb < machine_mb) return;
-  plan.warnings.push_back("the run is expected to take " +
-                          with_count(std::round(plan.memory_mb / 1000), "GB of memory, of which this machine has ") +
-                          with_count(std::round(machine_mb / 1000),
-                                     "GB: take fewer threads, mask what is not the object, or halve the images"));
+  plan.warnings.push_back("the run is expected to take " + std::to_string(std::lround(plan.memory_mb / 1000)) +
+                          " GB of memory, of which this machine has " + std::to_string(std::lround(machine_mb / 1000)) +
+                          " GB: take fewer threads, mask what is not the object, or halve the images");
 }
 
 }  // namespace
@@ -166,7 +162,8 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
   context.validate();
   const Size size = known_size ? *known_size : captured_size(station);
   const Station planned = with_prior_of_photos(station);
-  const Workload work{planned, options, size, pixels_on(captured_object(station, size)) / 1e6, context.threads};
+  const Workload work{planned, options, size, 1e-6 * static_cast<double>(count_of_set(captured_object(station, size))),
+                      context.threads};
   std::vector<ExpectedTime> times;
   for (const Step* step : steps_of_run(step_table(), planned, options, until))
     times.push_back({step->name, step->cost(work).seconds});
@@ -179,7 +176,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.name = station.file.name;
   plan.size = captured_size(station);
   const Mask object = captured_object(station, plan.size);
-  plan.object_pixels = pixels_on(object);
+  plan.object_pixels = static_cast<double>(count_of_set(object));
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
   if (const auto& labels = station.file.optics.label_image; labels) require_labels(read_labels(*labels), plan.size);
