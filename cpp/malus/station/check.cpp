@@ -13,9 +13,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
-#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
 #include "malus/polarization/reflection.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
@@ -84,19 +82,16 @@ std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const Cam
 /// Descriptions of steps from this station's own files, by the step's name.
 using Details = std::map<std::string, std::string>;
 
-/// Reads the prior and describes it. Throws what the run would throw for an unusable prior.
+/// Describes the prior. Throws what the run would throw for an unusable prior.
 struct PriorCheck {
   const Station& station;
   const Mask& object;
   const PriorOptions& options;
-  const Context& context;
   Plan& plan;
   Details& details;
 
   std::string operator()(std::monostate) const { return "from the photos"; }
-  std::string operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, context)); }
-  std::string operator()(PointCloud given) const {
-    const PointCloud cloud = scaled(std::move(given), station.file.prior_scale);
+  std::string operator()(const PointCloud& cloud) const {
     const CameraSpec& camera = *station.file.camera;
     const std::string& unit = station.file.unit;
     const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
@@ -115,11 +110,8 @@ struct PriorCheck {
     }
     return share;
   }
-  std::string operator()(const MeshFile& file) const {
-    return "mesh of " + with_count(read_mesh(file.path, context).triangles.size(), "triangles");
-  }
-  std::string operator()(const DepthFile& file) const {
-    return (*this)(read_float_raster(file.path, "prior depth map"));
+  std::string operator()(const TriangleMesh& mesh) const {
+    return "mesh of " + with_count(mesh.triangles.size(), "triangles");
   }
   std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
   std::string operator()(const Image<float>& depth) const {
@@ -186,7 +178,7 @@ Plan check_station(const Station& station, const Options& options, const Context
       throw input_error(station.file.path.string() +
                         ": [camera] has no pose, expected a camera whose position is known");
     }
-    details["prior"] = std::visit(PriorCheck{station, object, options.prior, context, plan, details}, station.prior);
+    details["prior"] = with_prior(station, context, PriorCheck{station, object, options.prior, plan, details});
   } else if (!station.file.photos) {
     plan.warnings.emplace_back(
         "no coarse surface is named ([prior], or [photos] to make one from), which `malus run` needs; without one "
