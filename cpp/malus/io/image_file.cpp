@@ -1,8 +1,6 @@
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <set>
-#include <sstream>
 #include <stdexcept>
 #include <string_view>
 

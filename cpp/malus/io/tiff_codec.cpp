@@ -7,7 +7,6 @@
 #include <exception>
 #include <memory>
 #include <stdexcept>
-#include <vector>
 
 #include "malus/io/image_codecs_internal.h"
 

@@ -1,5 +1,4 @@
 #include <Eigen/Geometry>
-#include <cmath>
 
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
