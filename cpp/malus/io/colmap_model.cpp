@@ -102,12 +102,8 @@ class Words {
   template <class T>
   T number(const char* name) {
     const std::string_view word = next();
-    T value{};
-    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-    if (error != std::errc() || end != word.data() + word.size()) {
-      throw input_error(where_ + ": " + name + " = \"" + std::string(word) + "\", expected a number");
-    }
-    return value;
+    if (const auto value = number_of<T>(word)) return *value;
+    throw input_error(where_ + ": " + name + " = \"" + std::string(word) + "\", expected a number");
   }
   bool done() {
     skip_blanks();

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cstring>
 #include <fstream>
 #include <iterator>
@@ -56,14 +55,10 @@ PlyProperty property_of(const InputFile& file, const std::vector<std::string>& w
 }
 
 PlyElement element_of(const InputFile& file, const std::vector<std::string>& words) {
-  PlyElement element;
-  const std::string& count = words.back();
-  const auto [end, error] = std::from_chars(count.data(), count.data() + count.size(), element.count);
-  if (words.size() != 3 || error != std::errc() || end != count.data() + count.size()) {
+  const auto count = number_of<std::uint64_t>(words.back());
+  if (words.size() != 3 || !count)
     throw file.error("has a malformed element in line " + std::to_string(file.line_number()));
-  }
-  element.name = words[1];
-  return element;
+  return {words[1], *count, {}};
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <map>
 #include <numbers>
@@ -210,13 +209,9 @@ std::string read_response(const TomlTable& table) {
   constexpr std::string_view gamma = "gamma:";
   if (value == "linear" || value == "srgb") return value;
   if (value.starts_with(gamma)) {
-    double exponent = 0;
-    const char* last = value.data() + value.size();
-    const auto [end, error] = std::from_chars(value.data() + gamma.size(), last, exponent);
-    if (error != std::errc() || end != last || !(exponent >= 0.1 && exponent <= 10)) {
-      throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
-    }
-    return value;
+    const auto exponent = number_of<double>(std::string_view(value).substr(gamma.size()));
+    if (exponent && *exponent >= 0.1 && *exponent <= 10) return value;
+    throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
   }
   const auto path = table.resolve("response", value);
   if (!std::filesystem::exists(path))
