@@ -89,35 +89,35 @@ Station with_file_doubts(Station station, const std::vector<std::pair<std::strin
   return station;
 }
 
+/// A raster of a result as an array, which keeps the result alive; None without the result.
+template <class T, class Map>
+py::object map_of(const std::shared_ptr<const T>& of, Map T::*map) {
+  return of ? to_array(std::shared_ptr<const Map>(of, &((*of).*map))) : py::none();
+}
+
 /// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
 /// another run. `pose`: the camera's pose from the station.
 py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
-  py::dict result;
-  const auto maps = [&]<class T, class... Maps>(const std::shared_ptr<const T>& of, const Maps&... named) {
-    const auto add = [&](const char* name, const auto map) {
-      using Map = std::remove_cvref_t<decltype((*of).*map)>;
-      result[name] = of ? to_array(std::shared_ptr<const Map>(of, &((*of).*map))) : py::none();
-    };
-    (add(named.first, named.second), ...);
-  };
-  maps(run->get<FusedSurface>(), std::pair("depth", &FusedSurface::depth), std::pair("normals", &FusedSurface::normals),
-       std::pair("sigma", &FusedSurface::sigma));
-  maps(run->get<DepthPrior>(), std::pair("prior_depth", &DepthPrior::depth),
-       std::pair("prior_sigma", &DepthPrior::sigma));
-  maps(run->get<HeightMap>(), std::pair("polarization_height", &HeightMap::height));
-  maps(run->get<ReflectionMap>(), std::pair("zenith_rad", &ReflectionMap::zenith));
-  maps(run->get<Scene>(), std::pair("scene", &Scene::image));
+  const auto surface = run->get<FusedSurface>();
+  const auto prior = run->get<DepthPrior>();
   const auto measured = run->get<MeasuredPolarization>();
   const auto calibrated = run->get<CalibratedPolarization>();
-  maps(calibrated ? calibrated->state
-       : measured ? measured->state
-                  : nullptr,
-       std::pair("unpolarized", &PolarizationState::i_un), std::pair("degree", &PolarizationState::rho),
-       std::pair("phase_rad", &PolarizationState::phi), std::pair("valid", &PolarizationState::valid));
+  const auto state = calibrated ? calibrated->state : measured ? measured->state : nullptr;
   const auto report = run->get<QualityReport>();
   const auto view = run->get<StationView>();
-  const auto prior = run->get<DepthPrior>();
-  const auto surface = run->get<FusedSurface>();
+  py::dict result;
+  result["depth"] = map_of(surface, &FusedSurface::depth);
+  result["normals"] = map_of(surface, &FusedSurface::normals);
+  result["sigma"] = map_of(surface, &FusedSurface::sigma);
+  result["prior_depth"] = map_of(prior, &DepthPrior::depth);
+  result["prior_sigma"] = map_of(prior, &DepthPrior::sigma);
+  result["polarization_height"] = map_of(run->get<HeightMap>(), &HeightMap::height);
+  result["zenith_rad"] = map_of(run->get<ReflectionMap>(), &ReflectionMap::zenith);
+  result["scene"] = map_of(run->get<Scene>(), &Scene::image);
+  result["unpolarized"] = map_of(state, &PolarizationState::i_un);
+  result["degree"] = map_of(state, &PolarizationState::rho);
+  result["phase_rad"] = map_of(state, &PolarizationState::phi);
+  result["valid"] = map_of(state, &PolarizationState::valid);
   result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
                      : view  ? py::cast(RasterView{view->camera, pose})
