@@ -1,8 +1,6 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
-#include <algorithm>
-
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
