@@ -57,6 +57,12 @@ void read_fields(const TomlTable& table, Spec& spec) {
   });
 }
 
+/// Throws the error `why` for the first of the keys that the table has.
+void refuse(const TomlTable& table, const Keys& keys, const std::string& why) {
+  const auto found = std::ranges::find_if(keys, [&table](std::string_view key) { return table.has(key); });
+  if (found != keys.end()) throw table.error(*found, why);
+}
+
 /// Sub-table of the document, or nothing.
 const toml::table* section(const TomlTable& document, std::string_view key) {
   const toml::node* node = document.find(key);
@@ -271,9 +277,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     if (spec.images.size() != 1) {
       throw table.error("images", "has " + std::to_string(spec.images.size()) + " files, expected one with `mosaic`");
     }
-    for (const std::string_view key : {"angles_deg", "angle_pattern"}) {
-      if (table.has(key)) throw table.error(key, "cannot be given together with `mosaic`, which states the angles");
-    }
+    refuse(table, {"angles_deg", "angle_pattern"}, "cannot be given together with `mosaic`, which states the angles");
     require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
     spec.mosaic_colors = table.text("mosaic_colors");
     if (spec.mosaic_colors && std::ranges::find(bayer_patterns, *spec.mosaic_colors) == bayer_patterns.end()) {
@@ -281,13 +285,13 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     }
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
-    if (table.has("mosaic_colors")) throw table.error("mosaic_colors", "is of a `mosaic`, which is not given");
+    refuse(table, {"mosaic_colors"}, "is of a `mosaic`, which is not given");
     spec.angles_deg = read_angles(table, spec.images);
   }
   spec.exposure_s = read_exposures(table, spec);
   spec.channel_weights = table.numbers_exactly<3>("channel_weights", not_negative);
   if (spec.channel_weights) {
-    if (table.has("channel")) throw table.error("channel", "cannot be given together with channel_weights");
+    refuse(table, {"channel"}, "cannot be given together with channel_weights");
     const auto& weights = *spec.channel_weights;
     if (!(weights[0] + weights[1] + weights[2] > 0))
       throw table.wrong("channel_weights", "weights of which one is positive");
@@ -299,9 +303,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     throw table.wrong("black_level", "less than the white level");
   }
   if (std::ranges::any_of(spec.images, is_raw_name)) {
-    for (const std::string_view key : {"response", "white_level", "black_level", "mosaic"}) {
-      if (table.has(key)) throw table.error(key, "is not for RAW files, whose metadata say it");
-    }
+    refuse(table, {"response", "white_level", "black_level", "mosaic"}, "is not for RAW files, whose metadata say it");
     if (!std::ranges::all_of(spec.images, is_raw_name)) {
       throw table.error("images", "has RAW files and others, expected one kind");
     }
@@ -419,16 +421,12 @@ LensCamera read_lens(const TomlTable& table) {
   lens.size.width = table.required(table.integer("width", side), "width", "the image width in pixels");
   lens.size.height = table.required(table.integer("height", side), "height", "the image height in pixels");
   if (lens.model == LensModel::brown) {
-    if (table.has("params"))
-      throw table.error("params", "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
+    refuse(table, {"params"}, "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
     lens.params.push_back(table.required(table.number("focal_mm", positive_range), "focal_mm", "the camera constant"));
     lens.params.push_back(table.required(table.number("pixel_mm", positive_range), "pixel_mm", "the pixel's size"));
     for (std::size_t i = 2; i < brown_keys.size(); ++i) lens.params.push_back(table.number(brown_keys[i]).value_or(0));
   } else {
-    for (const std::string_view key : brown_keys) {
-      if (table.has(key))
-        throw table.error(key, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
-    }
+    refuse(table, brown_keys, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
     lens.params = table.required(table.numbers("params"), "params", "the parameters in COLMAP's order");
   }
   lens.validate(table.where("params"));
@@ -472,9 +470,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
 }
 
 void read_colmap_camera(const TomlTable& table, StationFile& station) {
-  for (const std::string_view key : joined({lens_keys, pose_keys})) {
-    if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
-  }
+  refuse(table, joined({lens_keys, pose_keys}), "cannot be given together with colmap_model");
   const auto folder = table.resolve("colmap_model", *table.text("colmap_model"));
   const std::string name = table.required(table.text("image"), "image", "the station's image name in the COLMAP model");
   if (!std::filesystem::is_directory(folder))
@@ -629,29 +625,24 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
   for (const std::string_view key : {"a_xyz", "b_xyz"}) {
     if (!table.has(key)) continue;
     if (photos) throw table.error(key, "is a point of a given prior's frame; with [photos] mark it in them: a, b");
-    for (const std::string_view other : {"a", "b", "targets"})
-      if (table.has(other)) throw table.error(other, "cannot be given together with a_xyz and b_xyz");
+    refuse(table, {"a", "b", "targets"}, "cannot be given together with a_xyz and b_xyz");
     bar.a_xyz = table.required(table.numbers_exactly<3>("a_xyz"), "a_xyz", "a point [x, y, z]");
     bar.b_xyz = table.required(table.numbers_exactly<3>("b_xyz"), "b_xyz", "a point [x, y, z]");
   }
   if (bar.a_xyz) return bar;
-  if (table.has("targets") && !photos)
-    throw table.error("targets",
-                      "are found in [photos]; for a given prior mark the ends (a, b) or give a_xyz and b_xyz");
+  if (!photos)
+    refuse(table, {"targets"}, "are found in [photos]; for a given prior mark the ends (a, b) or give a_xyz and b_xyz");
   if (table.has("targets")) {
-    for (const std::string_view key : {"a", "b"}) {
-      if (table.has(key)) throw table.error(key, "cannot be given together with targets");
-    }
-    const std::string expected = "two different target numbers";
+    refuse(table, {"a", "b"}, "cannot be given together with targets");
     const auto targets = *table.numbers_exactly<2>("targets", {0, 1e6});
     if (targets[0] == targets[1] || targets[0] != std::floor(targets[0]) || targets[1] != std::floor(targets[1])) {
-      throw table.wrong("targets", expected);
+      throw table.wrong("targets", "two different target numbers");
     }
     bar.targets = std::array{static_cast<int>(targets[0]), static_cast<int>(targets[1])};
     bar.targets_dictionary = table.required(table.text("targets_dictionary"), "targets_dictionary",
                                             "the targets' dictionary, such as \"aruco_4x4_50\"");
   } else {
-    if (table.has("targets_dictionary")) throw table.error("targets_dictionary", "needs `targets`");
+    refuse(table, {"targets_dictionary"}, "needs `targets`");
     for (const std::string_view key : {"a", "b"}) {
       std::vector<ImageMark>& end = key == "a" ? bar.a : bar.b;
       end = read_marks(table, key, photos);
