@@ -29,27 +29,19 @@ Json describe_prior(const Station& station) {
 /// Every file that results may depend on, except the photos' folder.
 std::vector<std::filesystem::path> files_of(const StationFile& file) {
   std::vector<std::filesystem::path> files = file.polarized.images;
-  const auto add = [&files](const auto&... path) { (files.push_back(path), ...); };
+  const auto add = [&files](const std::filesystem::path& path) { files.push_back(path); };
   if (!file.path.empty()) add(file.path);
   if (file.polarized.mask) add(*file.polarized.mask);
   if (std::filesystem::is_regular_file(file.polarized.response)) add(file.polarized.response);
   if (file.optics.label_image) add(*file.optics.label_image);
   for (const auto& path : file.camera_files) add(path);
-  if (!file.prior) return files;
-  const auto path_of = []<class Source>(const Source& source) -> std::filesystem::path {
-    if constexpr (std::same_as<Source, Shape>) {
-      return {};
-    } else {
-      return source.path;
+  const auto add_prior = [&add](const auto& source) {
+    if constexpr (requires { source.path; }) {  // a shape has no file
+      if (!std::filesystem::is_directory(source.path)) return add(source.path);
+      for (const auto& path : colmap_workspace_files(source.path)) add(path);
     }
   };
-  const std::filesystem::path prior = std::visit(path_of, *file.prior);
-  if (prior.empty()) return files;
-  if (!std::filesystem::is_directory(prior)) {
-    add(prior);
-  } else {
-    for (const auto& path : colmap_workspace_files(prior)) add(path);
-  }
+  if (file.prior) std::visit(add_prior, *file.prior);
   return files;
 }
 
