@@ -143,11 +143,10 @@ int fail(ErrorCode code, const std::string& message) {
   return static_cast<int>(code);
 }
 
-/// Runs and reports errors; every error ends in an ErrorCode as exit code.
-int run_or_fail(const Arguments& arguments) {
+/// Reports the exception that is being handled. Every error ends in an ErrorCode as exit code.
+int fail_by_exception() {
   try {
-    run(arguments);
-    return 0;
+    throw;
   } catch (const malus::Error& error) {
     return fail(error.code(), error.what());
   } catch (const std::bad_alloc&) {
@@ -158,22 +157,15 @@ int run_or_fail(const Arguments& arguments) {
     return fail(ErrorCode::resource, std::string("the system refuses: ") + error.what());
   } catch (const std::exception& error) {
     return fail(ErrorCode::resource, std::string("stopped by an error of its own, please report it: ") + error.what());
+  } catch (...) {
+    return fail(ErrorCode::resource, "stopped by an error of its own, please report it: of a type that nobody knows");
   }
 }
 
 /// Last resort for exceptions that leave a library's thread, or that are thrown while another one is handled.
 [[noreturn]] void end_unexpectedly() {
-  std::string what = "stopped by an error of its own, please report it";
-  try {
-    if (std::current_exception()) std::rethrow_exception(std::current_exception());
-  } catch (const std::bad_alloc&) {
-    what = "out of memory; see `malus check` for what the station needs";
-  } catch (const std::exception& error) {
-    what += std::string(": ") + error.what();
-  } catch (...) {
-    what += ": of a type that nobody knows";
-  }
-  std::_Exit(fail(ErrorCode::resource, what));
+  std::_Exit(std::current_exception() ? fail_by_exception()
+                                      : fail(ErrorCode::resource, "stopped by an error of its own, please report it"));
 }
 
 /// Seconds that a run has to end after a signal. Long computations check for a signal every half second; a step that
@@ -256,5 +248,9 @@ int main(int argc, char** argv) {
 
   if (arguments.workspace.empty()) return fail(ErrorCode::input, "--output is empty, expected a folder");
   end_at_signals();
-  return run_or_fail(arguments);
+  try {
+    run(arguments);
+  } catch (...) {
+    return fail_by_exception();
+  }
 }

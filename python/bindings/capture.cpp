@@ -15,23 +15,12 @@
 namespace malus::python {
 namespace {
 
-py::list register_arrays(const std::vector<Image<float>>& images, const Options& options, int frames_averaged,
-                         double full_well_e, double read_noise_e, int threads) {
+py::object register_arrays(const std::vector<Image<float>>& images, const Options& options, int frames_averaged,
+                           double full_well_e, double read_noise_e, int threads) {
   const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
-  const std::vector<ImageRegistration> found = computed(threads, [&](const Context& context) {
+  return by_fields(computed(threads, [&](const Context& context) {
     return register_images(images, noise, options.capture.registration, context);
-  });
-  py::list result;
-  for (const ImageRegistration& image : found) {
-    py::dict entry;
-    entry["status"] = enum_name(image.status);
-    entry["message"] = image.message;
-    entry["image_from_base"] = Eigen::MatrixXd(image.image_from_base);
-    entry["displacement_px"] = image.displacement_px;
-    entry["rms_px"] = image.rms_px;
-    result.append(entry);
-  }
-  return result;
+  }));
 }
 
 }  // namespace

@@ -16,14 +16,8 @@ namespace malus::python {
 namespace {
 
 py::dict to_dict(const Finding& finding) {
-  py::dict figures;
-  for (const auto& [name, value] : finding.figures) figures[py::str(name)] = value;
-  py::dict result;
-  result["check"] = finding.check;
-  result["severity"] = enum_name(finding.severity);
-  result["message"] = finding.message;
-  result["suggestion"] = finding.suggestion;
-  result["figures"] = figures;
+  py::dict result = by_fields(finding);
+  result["figures"] = py::dict(result["figures"]);  // from pairs of name and value
   return result;
 }
 

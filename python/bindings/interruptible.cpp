@@ -8,6 +8,8 @@
 #include <mutex>
 #include <thread>
 
+#include "malus/core/fields.h"
+
 namespace malus::python {
 namespace {
 
@@ -41,18 +43,6 @@ class Mailbox {
   bool closed_ = false;
 };
 
-const char* level_name(LogLevel level) {
-  switch (level) {
-    case LogLevel::debug:
-      return "debug";
-    case LogLevel::info:
-      return "info";
-    case LogLevel::warning:
-      return "warning";
-  }
-  return "info";
-}
-
 }  // namespace
 
 void run_interruptible(int threads, const py::object& on_progress, const py::object& on_log,
@@ -70,7 +60,7 @@ void run_interruptible(int threads, const py::object& on_progress, const py::obj
   }
   if (!on_log.is_none()) {
     context.on_log = [&](LogLevel level, const std::string& message) {
-      mailbox.post([&on_log, level, message] { on_log(level_name(level), message); });
+      mailbox.post([&on_log, level, message] { on_log(enum_name(level), message); });
     };
   }
 

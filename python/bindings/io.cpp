@@ -23,12 +23,9 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
   for (std::size_t i = 0; i < names.size(); ++i)
     marked.push_back({names[i], points.col(static_cast<Eigen::Index>(i)), pixels.col(static_cast<Eigen::Index>(i))});
   const Resection found = resect(marked, lens, "points");
-  py::array_t<double> residuals({static_cast<py::ssize_t>(names.size()), py::ssize_t{2}});
-  auto at = residuals.mutable_unchecked<2>();
-  for (std::size_t i = 0; i < names.size(); ++i) {
-    const Eigen::Vector2d off = mark_residual(marked[i], lens, found.pose);
-    for (py::ssize_t axis = 0; axis < 2; ++axis) at(static_cast<py::ssize_t>(i), axis) = off[axis];
-  }
+  Eigen::MatrixX2d residuals(points.cols(), 2);
+  for (std::size_t i = 0; i < names.size(); ++i)
+    residuals.row(static_cast<Eigen::Index>(i)) = mark_residual(marked[i], lens, found.pose).transpose();
   py::dict result;
   result["camera"] = to_values(lens, found.pose);
   result["rms_px"] = found.rms_px;
@@ -53,8 +50,7 @@ void bind_io(py::module_& module) {
     return to_array<double>(cloud.points);
   });
   module.def("read_cloud_or_mesh", [](const std::string& path) -> std::pair<py::array_t<double>, py::object> {
-    const TriangleMesh mesh =
-        computed(1, [&](const Context& context) { return read_cloud_or_mesh(path, context, "reference"); });
+    const TriangleMesh mesh = computed(1, [&](const Context& context) { return read_cloud_or_mesh(path, context); });
     if (mesh.triangles.empty()) return {to_array<double>(mesh.vertices.points), py::none()};
     return {to_array<double>(mesh.vertices.points), to_array<std::uint32_t>(mesh.triangles)};
   });

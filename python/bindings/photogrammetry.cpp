@@ -135,13 +135,7 @@ py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pi
                  [&](std::size_t k, std::size_t) { *to_read[k].first = intensity_of(*to_read[k].second); });
     done = refine_model(model, std::move(images), preferred, lenses, options.photos, context);
   });
-  py::dict result;
-  result["status"] = enum_name(done.status);
-  result["points"] = done.points;
-  result["matches"] = done.matches;
-  result["matches_a_point"] = done.matches_a_point;
-  result["sigma_px"] = done.sigma_px;
-  result["keypoint_px"] = done.keypoint_px;
+  py::dict result = by_fields(done);
   result["iterations"] = done.adjustment.iterations;
   result["rms_before_px"] = done.adjustment.rms_before_px;
   result["rms_after_px"] = done.adjustment.rms_after_px;

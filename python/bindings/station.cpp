@@ -46,86 +46,81 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
 
 /// The station with the camera and, after the sweep, the prior from its photos, with the photogrammetry's figures for
 /// the report. swept: the rasters of a SweptDepth by name, without those that are empty.
-Station with_photogrammetry(const Station& station, const CameraValues& camera,
+Station with_photogrammetry(Station station, const CameraValues& camera,
                             std::optional<std::map<std::string, Image<float>>>& swept, const std::string& figures,
                             const std::string& times, const std::vector<std::string>& warnings) {
-  Station result = station;
   const auto [lens, pose] = to_camera(camera, "camera");
-  result.file.camera = CameraSpec{lens, pose};
+  station.file.camera = CameraSpec{lens, pose};
   if (swept) {
     const auto take = [&](const char* name) { return std::move((*swept)[name]); };
-    result.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
+    station.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
   }
-  result.photogrammetry = Photogrammetry{figures, times, warnings};
-  return result;
+  station.photogrammetry = Photogrammetry{figures, times, warnings};
+  return station;
 }
 
 /// The station with other pixels for the curves of intensity against polarizer angle.
-Station with_curves_of(const Station& station, const std::vector<std::array<double, 2>>& pixels) {
-  Station result = station;
-  result.file = with_curve_pixels(std::move(result.file), pixels);
-  return result;
+Station with_curves_of(Station station, const std::vector<std::array<double, 2>>& pixels) {
+  station.file = with_curve_pixels(std::move(station.file), pixels);
+  return station;
 }
 
 /// The station with a cloud as prior in place of the prior's file.
-Station with_cloud(const Station& station, const Array<double>& points, const std::optional<Array<float>>& normals) {
-  Station result = station;
-  result.prior = to_cloud(points, normals);
-  return result;
+Station with_cloud(Station station, const Array<double>& points, const std::optional<Array<float>>& normals) {
+  station.prior = to_cloud(points, normals);
+  return station;
 }
 
 /// The station with developed images (floating point, black 0 and white 1) in place of its RAW files. The noise figures
 /// of the RAW files (electrons) are used only if the station states none.
-Station with_developed(const Station& station, const std::vector<std::string>& images,
-                       std::optional<double> full_well_e, std::optional<double> read_noise_e) {
-  Station result = station;
-  PolarizedSpec& spec = result.file.polarized;
+Station with_developed(Station station, const std::vector<std::string>& images, std::optional<double> full_well_e,
+                       std::optional<double> read_noise_e) {
+  PolarizedSpec& spec = station.file.polarized;
   spec.images.assign(images.begin(), images.end());
   if (!spec.full_well_e && !spec.read_noise_e) {
     spec.full_well_e = full_well_e;
     spec.read_noise_e = read_noise_e;
   }
-  return result;
+  return station;
 }
 
 /// The station with warnings about its files, each with the name of its check, message and suggestion.
-Station with_file_doubts(const Station& station,
+Station with_file_doubts(Station station,
                          const std::vector<std::tuple<std::string, std::string, std::string>>& doubts) {
-  Station result = station;
   for (const auto& [check, message, suggestion] : doubts)
-    result.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
-  return result;
+    station.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
+  return station;
+}
+
+/// A raster of a result as an array, which keeps the result alive; None without the result.
+template <class T, class Map>
+py::object map_of(const std::shared_ptr<const T>& of, Map T::*map) {
+  return of ? to_array(std::shared_ptr<const Map>(of, &((*of).*map))) : py::none();
 }
 
 /// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
 /// another run. `pose`: the camera's pose from the station.
 py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
-  py::dict result;
-  const auto maps = [&]<class T, class... Maps>(const std::shared_ptr<const T>& of, const Maps&... named) {
-    const auto add = [&](const char* name, const auto map) {
-      using Map = std::remove_cvref_t<decltype((*of).*map)>;
-      result[name] = of ? to_array(std::shared_ptr<const Map>(of, &((*of).*map))) : py::none();
-    };
-    (add(named.first, named.second), ...);
-  };
-  maps(run->get<FusedSurface>(), std::pair("depth", &FusedSurface::depth), std::pair("normals", &FusedSurface::normals),
-       std::pair("sigma", &FusedSurface::sigma));
-  maps(run->get<DepthPrior>(), std::pair("prior_depth", &DepthPrior::depth),
-       std::pair("prior_sigma", &DepthPrior::sigma));
-  maps(run->get<HeightMap>(), std::pair("polarization_height", &HeightMap::height));
-  maps(run->get<ReflectionMap>(), std::pair("zenith_rad", &ReflectionMap::zenith));
-  maps(run->get<Scene>(), std::pair("scene", &Scene::image));
+  const auto surface = run->get<FusedSurface>();
+  const auto prior = run->get<DepthPrior>();
   const auto measured = run->get<MeasuredPolarization>();
   const auto calibrated = run->get<CalibratedPolarization>();
-  maps(calibrated ? calibrated->state
-       : measured ? measured->state
-                  : nullptr,
-       std::pair("unpolarized", &PolarizationState::i_un), std::pair("degree", &PolarizationState::rho),
-       std::pair("phase_rad", &PolarizationState::phi), std::pair("valid", &PolarizationState::valid));
+  const auto state = calibrated ? calibrated->state : measured ? measured->state : nullptr;
   const auto report = run->get<QualityReport>();
   const auto view = run->get<StationView>();
-  const auto prior = run->get<DepthPrior>();
-  const auto surface = run->get<FusedSurface>();
+  py::dict result;
+  result["depth"] = map_of(surface, &FusedSurface::depth);
+  result["normals"] = map_of(surface, &FusedSurface::normals);
+  result["sigma"] = map_of(surface, &FusedSurface::sigma);
+  result["prior_depth"] = map_of(prior, &DepthPrior::depth);
+  result["prior_sigma"] = map_of(prior, &DepthPrior::sigma);
+  result["polarization_height"] = map_of(run->get<HeightMap>(), &HeightMap::height);
+  result["zenith_rad"] = map_of(run->get<ReflectionMap>(), &ReflectionMap::zenith);
+  result["scene"] = map_of(run->get<Scene>(), &Scene::image);
+  result["unpolarized"] = map_of(state, &PolarizationState::i_un);
+  result["degree"] = map_of(state, &PolarizationState::rho);
+  result["phase_rad"] = map_of(state, &PolarizationState::phi);
+  result["valid"] = map_of(state, &PolarizationState::valid);
   result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
                      : view  ? py::cast(RasterView{view->camera, pose})

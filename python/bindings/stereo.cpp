@@ -49,20 +49,12 @@ void bind_stereo(py::module_& module) {
                               [&](std::size_t k, std::size_t) { views[k].intensity = intensity_of(photos[k].first); });
                  found = sweep_surface(input, std::move(views), options.sweep, context);
                });
-               py::dict result;
+               py::dict result = by_fields(found);
                result["depth"] = std::move(found.depth);
                result["sigma"] = std::move(found.sigma);
                result["confidence"] = std::move(found.confidence);
-               result["views_total"] = found.views_total;
-               result["views_used"] = found.views_used;
                result["points_total"] = static_cast<std::size_t>(found.points_total);
                result["points_used"] = static_cast<std::size_t>(found.points_used);
-               result["completeness"] = found.completeness;
-               result["highlights"] = found.highlights;
-               result["median_score"] = found.median_score;
-               result["median_sigma_gsd"] = found.median_sigma_gsd;
-               result["halves_compared"] = found.halves_compared;
-               result["passes"] = by_fields(found.passes);
                return result;
              });
   module.def("visual_hull", [](const CameraValues& station_camera, const Mask& mask,

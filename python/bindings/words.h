@@ -3,7 +3,6 @@
 #include <pybind11/pybind11.h>
 
 #include <string>
-#include <type_traits>
 #include <vector>
 
 #include "malus/core/fields.h"

@@ -7,7 +7,7 @@
 #include "malus/assess/assessed_confidence_internal.h"
 #include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/statistics_internal.h"
-#include "malus/core/percent_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/ranked_values_internal.h"
 
 namespace malus {

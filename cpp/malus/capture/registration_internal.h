@@ -7,6 +7,7 @@
 
 #include "malus/capture/resampling_internal.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/options/capture_options.h"
 #include "malus/polarization/noise_model.h"
@@ -29,6 +30,8 @@ struct ImageRegistration {
   /// between 96 parts of the image (sandwich estimate): includes errors that noise alone does not explain, such as
   /// edges whose polarization changes their contrast.
   double rms_px = 0;
+
+  MALUS_FIELDS(status, message, image_from_base, displacement_px, rms_px)
 };
 
 /// Registers linear images of one size to the first, by 6-parameter affine maps, all together.

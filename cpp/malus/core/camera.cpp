@@ -1,8 +1,10 @@
 #include "malus/core/camera.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <ranges>
 #include <sstream>
 
 #include "malus/core/pixel_rect_internal.h"
@@ -14,15 +16,16 @@ struct Model {
   LensModel model;
   std::string_view name;
   int parameters;
+  int undistorted;  ///< number of those that do not describe distortion; they come first
 };
 
-constexpr std::array<Model, 7> models{{{LensModel::simple_pinhole, "SIMPLE_PINHOLE", 3},
-                                       {LensModel::pinhole, "PINHOLE", 4},
-                                       {LensModel::simple_radial, "SIMPLE_RADIAL", 4},
-                                       {LensModel::radial, "RADIAL", 5},
-                                       {LensModel::opencv, "OPENCV", 8},
-                                       {LensModel::full_opencv, "FULL_OPENCV", 12},
-                                       {LensModel::brown, "BROWN", 10}}};
+constexpr std::array<Model, 7> models{{{LensModel::simple_pinhole, "SIMPLE_PINHOLE", 3, 3},
+                                       {LensModel::pinhole, "PINHOLE", 4, 4},
+                                       {LensModel::simple_radial, "SIMPLE_RADIAL", 4, 3},
+                                       {LensModel::radial, "RADIAL", 5, 3},
+                                       {LensModel::opencv, "OPENCV", 8, 4},
+                                       {LensModel::full_opencv, "FULL_OPENCV", 12, 4},
+                                       {LensModel::brown, "BROWN", 10, 4}}};
 
 const Model& entry(LensModel model) {
   return models[static_cast<std::size_t>(model)];
@@ -147,13 +150,8 @@ Eigen::Vector2d LensCamera::undistort(const Eigen::Vector2d& pixel) const {
 }
 
 bool LensCamera::has_distortion() const {
-  std::size_t first = params.size();
-  if (model == LensModel::simple_radial || model == LensModel::radial) first = 3;
-  if (model == LensModel::opencv || model == LensModel::full_opencv || model == LensModel::brown) first = 4;
-  for (std::size_t i = first; i < params.size(); ++i) {
-    if (params[i] != 0) return true;
-  }
-  return false;
+  const auto is_not_zero = [](double parameter) { return parameter != 0; };
+  return std::ranges::any_of(params | std::views::drop(entry(model).undistorted), is_not_zero);
 }
 
 void LensCamera::validate(const std::string& where) const {

@@ -17,6 +17,16 @@ struct Pinhole {
   Size size;
   double fx = 1, fy = 1, cx = 0, cy = 0;
 
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("width", self.size.width);
+    visit("height", self.size.height);
+    visit("fx", self.fx);
+    visit("fy", self.fy);
+    visit("cx", self.cx);
+    visit("cy", self.cy);
+  }
+
   /// Direction of the pixel's ray in the camera frame (x right, y down, z forward), scaled to z = 1.
   Eigen::Vector3d ray(double u, double v) const { return {(u - cx) / fx, (v - cy) / fy, 1.0}; }
   /// Pixel (u, v) of a point in the camera frame; z must be positive.
@@ -55,6 +65,14 @@ struct LensCamera {
   LensModel model = LensModel::pinhole;
   Size size;
   std::vector<double> params;
+
+  template <class Self, class Visitor>
+  static void fields(Self& self, Visitor&& visit) {
+    visit("model", self.model);
+    visit("width", self.size.width);
+    visit("height", self.size.height);
+    visit("params", self.params);
+  }
 
   /// Measured pixel (u, v) of an ideal direction (x/z, y/z) in the camera frame.
   Eigen::Vector2d distort(const Eigen::Vector2d& ideal) const;

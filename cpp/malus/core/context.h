@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <string_view>
 
 #include "malus/core/error.h"
 
@@ -18,6 +20,9 @@ struct Progress {
 
 /// Severity of a log line.
 enum class LogLevel { debug, info, warning };
+constexpr auto names_of(LogLevel) {
+  return std::to_array<std::string_view>({"debug", "info", "warning"});
+}
 
 /// How a computation runs: threads, progress, cancellation, log. Passed to every function that takes long; never
 /// global. Callbacks may come from any thread, but never from two at once for one Context.

@@ -26,4 +26,9 @@ inline std::string with_digits(double value, int digits) {
   return text.str();
 }
 
+/// A share as whole percents, for people. Must be finite.
+inline std::string percent(double share) {
+  return std::to_string(std::lround(100 * share)) + " %";
+}
+
 }  // namespace malus

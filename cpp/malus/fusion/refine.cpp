@@ -6,12 +6,12 @@
 #include <optional>
 #include <utility>
 
-#include "malus/core/bounding_box_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/coarse_level_internal.h"

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/fusion/reflection_model_internal.h"
@@ -37,6 +38,8 @@ struct RefineIteration {
   int failed_tiles = 0;  ///< whose equations could not be solved: their surface is that of the round before
   int tiles = 0;         ///< that hold a part of the object, out of RefineReport::tiles
   double seconds = 0;
+
+  MALUS_FIELDS(binning, cost_before, cost_after, stokes_cost, median_residual, change_gsd, rejected_steps, failed_tiles)
 };
 
 /// What the refinement found beside the surface.

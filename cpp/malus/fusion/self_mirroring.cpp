@@ -2,8 +2,8 @@
 #include <cmath>
 #include <limits>
 
-#include "malus/core/bounding_box_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/self_mirroring_internal.h"
 

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "malus/io/atomic_file_internal.h"
-#include "malus/io/utf8_name_internal.h"
+#include "malus/io/input_file_internal.h"
 
 namespace malus {
 namespace {

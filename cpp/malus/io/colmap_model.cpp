@@ -14,7 +14,7 @@ namespace {
 /// COLMAP's numbers of its camera models and of their parameters. Images of the models without a counterpart here are
 /// left out.
 struct ModelId {
-  int id;
+  std::int32_t id;
   std::string_view name;
   int parameters;
   bool supported = true;
@@ -41,14 +41,14 @@ const ModelId* unsupported_model(Key ModelId::*key, const Key& value) {
   return nullptr;
 }
 
-LensModel model_of_id(int id, const std::string& where) {
+LensModel model_of_id(std::int32_t id, const std::string& where) {
   for (const ModelId& entry : model_ids) {
     if (entry.id == id) return lens_model(entry.name, where);
   }
   return lens_model(std::to_string(id), where);
 }
 
-int id_of_model(LensModel model) {
+std::int32_t id_of_model(LensModel model) {
   for (const ModelId& entry : model_ids) {
     if (entry.name == to_string(model)) return entry.id;
   }
@@ -138,12 +138,8 @@ class Words {
   template <class T>
   T number(const char* name) {
     const std::string_view word = next();
-    T value{};
-    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-    if (error != std::errc() || end != word.data() + word.size()) {
-      throw input_error(where_ + ": " + name + " = \"" + std::string(word) + "\", expected a number");
-    }
-    return value;
+    if (const auto value = number_of<T>(word)) return *value;
+    throw input_error(where_ + ": " + name + " = \"" + std::string(word) + "\", expected a number");
   }
   bool done() {
     skip_blanks();
@@ -361,7 +357,7 @@ constexpr std::string_view images_header =
 std::string camera_record(std::uint32_t id, const LensCamera& camera) {
   std::string record;
   append(record, id);
-  append(record, static_cast<std::int32_t>(id_of_model(camera.model)));
+  append(record, id_of_model(camera.model));
   append(record, static_cast<std::uint64_t>(camera.size.width));
   append(record, static_cast<std::uint64_t>(camera.size.height));
   for (const double parameter : to_colmap_pixels(camera).params) append(record, parameter);

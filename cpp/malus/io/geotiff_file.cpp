@@ -1,9 +1,10 @@
 #include <tiffio.h>
 
 #include <algorithm>
-#include <cmath>
+#include <array>
 #include <cstdint>
 #include <string_view>
+#include <utility>
 
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/geotiff_file_internal.h"
@@ -65,23 +66,15 @@ class GeoKeys {
 
 /// Text that is valid in XML and in a GeoTIFF citation.
 std::string escaped(std::string_view text) {
+  using Entity = std::pair<char, std::string_view>;
+  constexpr std::array<Entity, 4> entities{{{'&', "&amp;"}, {'<', "&lt;"}, {'>', "&gt;"}, {'"', "&quot;"}}};
   std::string out;
   for (const char c : text) {
-    switch (c) {
-      case '&':
-        out += "&amp;";
-        break;
-      case '<':
-        out += "&lt;";
-        break;
-      case '>':
-        out += "&gt;";
-        break;
-      case '"':
-        out += "&quot;";
-        break;
-      default:
-        out += c;
+    const auto entity = std::ranges::find(entities, c, &Entity::first);
+    if (entity != entities.end()) {
+      out += entity->second;
+    } else {
+      out += c;
     }
   }
   return out;

@@ -89,14 +89,11 @@ using Float3 = std::array<float, 3>;
 class Positions {
  public:
   Positions(const std::vector<Eigen::Vector3d>& points, double metres) : metres_(metres) {
-    Eigen::Vector3d least = points.front(), greatest = points.front();
-    for (const Eigen::Vector3d& x : points) {
-      least = least.cwiseMin(x);
-      greatest = greatest.cwiseMax(x);
-    }
-    middle = 0.5 * metres * (least + greatest);
-    low = (*this)(least);
-    high = (*this)(greatest);
+    Eigen::AlignedBox3d box;
+    for (const Eigen::Vector3d& x : points) box.extend(x);
+    middle = 0.5 * metres * (box.min() + box.max());
+    low = (*this)(box.min());
+    high = (*this)(box.max());
   }
   Float3 operator()(const Eigen::Vector3d& x) const {
     const Eigen::Vector3f about = (metres_ * x - middle).cast<float>();
@@ -126,16 +123,10 @@ Float3 unit_normal(const Eigen::Vector3f& normal) {
 
 /// Column-major matrix of the camera node: glTF cameras look along −z with y up.
 Json camera_matrix(const Pose& pose, double metres) {
-  const Eigen::Matrix3d world_from_gl = pose.rotation.transpose() * Eigen::Vector3d(1, -1, -1).asDiagonal();
-  const Eigen::Vector3d centre = metres * pose.centre();
-  Json matrix = Json::array();
-  for (int column = 0; column < 3; ++column) {
-    for (int row = 0; row < 3; ++row) matrix.push_back(world_from_gl(row, column));
-    matrix.push_back(0.0);
-  }
-  for (int row = 0; row < 3; ++row) matrix.push_back(centre[row]);
-  matrix.push_back(1.0);
-  return matrix;
+  Eigen::Matrix4d world_from_gl = Eigen::Matrix4d::Identity();
+  world_from_gl.topLeftCorner<3, 3>() = pose.rotation.transpose() * Eigen::Vector3d(1, -1, -1).asDiagonal();
+  world_from_gl.topRightCorner<3, 1>() = metres * pose.centre();
+  return std::vector<double>(world_from_gl.data(), world_from_gl.data() + world_from_gl.size());
 }
 
 Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,

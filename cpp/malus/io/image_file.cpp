@@ -1,8 +1,6 @@
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <set>
-#include <sstream>
 #include <stdexcept>
 #include <string_view>
 
@@ -103,8 +101,8 @@ RawImage read_image(const std::filesystem::path& path, const std::string& what) 
   return read_pixels(path, what, codecs::Alpha::dropped);
 }
 
-Image<float> read_intensity(const std::filesystem::path& path, const std::string& what) {
-  RawImage image = read_image(path, what);
+Image<float> read_intensity(const std::filesystem::path& path) {
+  RawImage image = read_image(path, "photo");
   const int channels = image.pixels.channels();
   const auto full_scale = static_cast<float>(image.full_scale_dn);
   if (channels == 1) {
@@ -139,8 +137,8 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
   throw std::logic_error("the header check was not called");
 }
 
-Mask read_mask(const std::filesystem::path& path, const std::string& what) {
-  RawImage image = read_pixels(path, what, codecs::Alpha::kept);
+Mask read_mask(const std::filesystem::path& path) {
+  RawImage image = read_pixels(path, "mask", codecs::Alpha::kept);
   image.pixels = over_black(std::move(image.pixels));
   // NaN, with which floating-point rasters mark pixels without data, is no object.
   for (float& value : image.pixels) value = std::isnan(value) ? 0 : value;
@@ -151,7 +149,7 @@ Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   constexpr std::size_t few_values = 16;
   const float largest = *std::ranges::max_element(image.pixels);
   if (!(largest > 0))
-    throw input_error(name_of(what, path) + " is black everywhere, expected white where the object is");
+    throw input_error(name_of("mask", path) + " is black everywhere, expected white where the object is");
   const std::size_t pixels = image.pixels.size().area();
   std::size_t grey = 0;
   std::set<float> values;
@@ -163,7 +161,7 @@ Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   const double grey_share = static_cast<double>(grey) / static_cast<double>(pixels);
   const bool has_soft_edges = values.size() > few_values;
   if (grey_share > largest_grey_share && has_soft_edges) {
-    throw input_error(name_of(what, path) +
+    throw input_error(name_of("mask", path) +
                       " looks like a photograph: " + std::to_string(std::lround(100 * grey_share)) +
                       " % of its pixels are neither black nor white, expected black, and white where the object is");
   }
@@ -177,11 +175,11 @@ Mask read_mask(const std::filesystem::path& path, const std::string& what) {
   return mask;
 }
 
-Image<std::uint8_t> read_labels(const std::filesystem::path& path, const std::string& what) {
-  const RawImage image = read_image(path, what);
+Image<std::uint8_t> read_labels(const std::filesystem::path& path) {
+  const RawImage image = read_image(path, "label image");
   if (image.pixels.channels() != 1 || image.bits != 8) {
-    throw input_error(name_of(what, path) + " has " + std::to_string(image.pixels.channels()) + " channels of " +
-                      std::to_string(image.bits) + " bits, expected 1 channel of 8 bits");
+    throw input_error(name_of("label image", path) + " has " + std::to_string(image.pixels.channels()) +
+                      " channels of " + std::to_string(image.bits) + " bits, expected 1 channel of 8 bits");
   }
   Image<std::uint8_t> labels(image.pixels.size());
   std::transform(image.pixels.begin(), image.pixels.end(), labels.begin(),

@@ -27,7 +27,7 @@ RawImage read_image(const std::filesystem::path& path, const std::string& what =
 
 /// Intensity of a photo as encoded in its file, in [0, 1] of full scale: the mean of its channels. Errors as
 /// read_image.
-Image<float> read_intensity(const std::filesystem::path& path, const std::string& what = "photo");
+Image<float> read_intensity(const std::filesystem::path& path);
 
 /// Size of an image from its header alone.
 Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
@@ -40,10 +40,10 @@ bool is_raw_name(const std::filesystem::path& path);
 /// an image of more than 16 values, such as a JPEG, everything up to a tenth of the largest value counts as zero.
 /// Throws an input error if all pixels are zero, or if the image looks like a photograph: more than 16 values, and more
 /// than 5 % of the pixels between black and white.
-Mask read_mask(const std::filesystem::path& path, const std::string& what = "mask");
+Mask read_mask(const std::filesystem::path& path);
 
 /// Values of an 8-bit one-channel image, unchanged (label images).
-Image<std::uint8_t> read_labels(const std::filesystem::path& path, const std::string& what = "label image");
+Image<std::uint8_t> read_labels(const std::filesystem::path& path);
 
 /// Floating-point TIFF with 1 or 3 channels, values unchanged (NaN stays). Errors as read_image, and ErrorCode::input
 /// when the samples are not floating-point.

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <nlohmann/json.hpp>
 #include <system_error>
 
 #include "malus/io/input_file_internal.h"
-#include "malus/io/utf8_name_internal.h"
 
 namespace malus {
 namespace {
@@ -21,6 +21,16 @@ std::string path_of_windows(std::string_view text) {
   return text.find('\\') == std::string_view::npos
              ? ""
              : "; folders are separated by /, as in scans/cloud.ply; drive C: of Windows is /mnt/c in WSL";
+}
+
+void require_utf8(const std::filesystem::path& path, const std::string& what) {
+  using Json = nlohmann::json;
+  const Json name = std::filesystem::absolute(path).string();
+  const std::string shown = name.dump(-1, ' ', false, Json::error_handler_t::ignore);
+  // Invalid bytes are left out of `shown`, so it then differs from the name.
+  if (Json::parse(shown) == name) return;
+  throw input_error(what + " " + name.dump(-1, ' ', false, Json::error_handler_t::replace) +
+                    ": the name is not UTF-8; rename the file or folder (convmv does many at once)");
 }
 
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what) {

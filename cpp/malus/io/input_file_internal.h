@@ -1,10 +1,13 @@
 #pragma once
 
+#include <charconv>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <vector>
 
 #include "malus/core/error.h"
@@ -12,9 +15,22 @@
 
 namespace malus {
 
+/// Throws ErrorCode::input unless the whole path is UTF-8, as all code that records or shows paths expects. `what`
+/// states what the file or folder is for.
+void require_utf8(const std::filesystem::path& path, const std::string& what);
+
 /// Size in bytes of a file a user named. Throws ErrorCode::input unless it is a regular, readable, non-empty file.
 /// `what` says what the file is for ("polarized image"); the message names it, the path and the reason.
 std::uint64_t require_file(const std::filesystem::path& path, const std::string& what);
+
+/// The number that the whole text is; nothing if it is anything else, or out of the type's range.
+template <class T>
+std::optional<T> number_of(std::string_view text) {
+  T value{};
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  const bool is_number = error == std::errc() && end == text.data() + text.size();
+  return is_number ? std::optional(value) : std::nullopt;
+}
 
 /// Advice, for messages, on what to write instead of the backslashes in a path or in a line of a file; "" = no
 /// backslashes.

@@ -1,45 +1,37 @@
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cstring>
 #include <fstream>
-#include <utility>
+#include <iterator>
+#include <sstream>
 
 #include "malus/io/ply_header_internal.h"
 
 namespace malus {
 namespace {
 
-constexpr std::array<std::pair<std::string_view, PlyType>, 16> type_names{{{"char", PlyType::int8},
-                                                                           {"int8", PlyType::int8},
-                                                                           {"uchar", PlyType::uint8},
-                                                                           {"uint8", PlyType::uint8},
-                                                                           {"short", PlyType::int16},
-                                                                           {"int16", PlyType::int16},
-                                                                           {"ushort", PlyType::uint16},
-                                                                           {"uint16", PlyType::uint16},
-                                                                           {"int", PlyType::int32},
-                                                                           {"int32", PlyType::int32},
-                                                                           {"uint", PlyType::uint32},
-                                                                           {"uint32", PlyType::uint32},
-                                                                           {"float", PlyType::float32},
-                                                                           {"float32", PlyType::float32},
-                                                                           {"double", PlyType::float64},
-                                                                           {"float64", PlyType::float64}}};
+/// The types in the order of PlyType; each has two names.
+struct TypeEntry {
+  std::string_view name, name_with_bits;
+  std::size_t bytes;
+};
+constexpr std::array<TypeEntry, 8> types{{{"char", "int8", 1},
+                                          {"uchar", "uint8", 1},
+                                          {"short", "int16", 2},
+                                          {"ushort", "uint16", 2},
+                                          {"int", "int32", 4},
+                                          {"uint", "uint32", 4},
+                                          {"float", "float32", 4},
+                                          {"double", "float64", 8}}};
 
 std::vector<std::string> words_of(std::string_view line) {
-  std::vector<std::string> words;
-  for (std::size_t at = 0; (at = line.find_first_not_of(" \t", at)) != std::string_view::npos;) {
-    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
-    words.emplace_back(line.substr(at, end - at));
-    at = end;
-  }
-  return words;
+  std::istringstream words{std::string(line)};
+  return std::vector<std::string>(std::istream_iterator<std::string>(words), {});
 }
 
 PlyType type_of(const InputFile& file, const std::string& name) {
-  for (const auto& [known, type] : type_names) {
-    if (known == name) return type;
+  for (std::size_t type = 0; type < types.size(); ++type) {
+    if (name == types[type].name || name == types[type].name_with_bits) return static_cast<PlyType>(type);
   }
   throw file.error("has an unknown property type \"" + name + "\" in its header");
 }
@@ -63,21 +55,16 @@ PlyProperty property_of(const InputFile& file, const std::vector<std::string>& w
 }
 
 PlyElement element_of(const InputFile& file, const std::vector<std::string>& words) {
-  PlyElement element;
-  const std::string& count = words.back();
-  const auto [end, error] = std::from_chars(count.data(), count.data() + count.size(), element.count);
-  if (words.size() != 3 || error != std::errc() || end != count.data() + count.size()) {
+  const auto count = number_of<std::uint64_t>(words.back());
+  if (words.size() != 3 || !count)
     throw file.error("has a malformed element in line " + std::to_string(file.line_number()));
-  }
-  element.name = words[1];
-  return element;
+  return {words[1], *count, {}};
 }
 
 }  // namespace
 
 std::size_t size_of(PlyType type) {
-  constexpr std::array<std::size_t, 8> sizes{1, 1, 2, 2, 4, 4, 4, 8};
-  return sizes[static_cast<std::size_t>(type)];
+  return types[static_cast<std::size_t>(type)].bytes;
 }
 
 bool PlyElement::has_lists() const {

@@ -45,13 +45,17 @@ constexpr std::array<std::array<std::string_view, 4>, slot_count> slot_names{{{"
                                                                               {"green", "g", "diffuse_green"},
                                                                               {"blue", "b", "diffuse_blue"}}};
 
+std::string in_lower_case(std::string text) {
+  std::ranges::transform(text, text.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
+}
+
 /// Slot of a property or column name, or slot_count.
-std::size_t slot_of(std::string name) {
-  std::transform(name.begin(), name.end(), name.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+std::size_t slot_of(const std::string& name) {
+  const std::string wanted = in_lower_case(name);
   for (std::size_t slot = 0; slot < slot_count; ++slot) {
     for (const std::string_view known : slot_names[slot]) {
-      if (!known.empty() && known == name) return slot;
+      if (!known.empty() && known == wanted) return slot;
     }
   }
   return slot_count;
@@ -60,13 +64,34 @@ std::size_t slot_of(std::string name) {
 /// The values of one point by slot.
 using PointValues = std::array<double, slot_count>;
 
+/// Which column of a text or property of a PLY holds which slot.
+struct Columns {
+  std::array<std::optional<std::size_t>, slot_count> column{};
+
+  bool has_three(std::size_t slot) const { return column[slot] && column[slot + 1] && column[slot + 2]; }
+  void set_three(std::size_t slot, std::size_t first) {
+    for (std::size_t i = 0; i < 3; ++i) column[slot + i] = first + i;
+  }
+  /// The number of columns that a line must have.
+  std::size_t count() const {
+    std::size_t least = 0;
+    for (const auto& index : column) least = std::max(least, index ? *index + 1 : 0);
+    return least;
+  }
+  PointValues point(const std::vector<double>& values) const {
+    PointValues found{};
+    for (std::size_t slot = 0; slot < slot_count; ++slot) {
+      if (column[slot]) found[slot] = values[*column[slot]];
+    }
+    return found;
+  }
+};
+
 /// Collects points; finds coordinates that are not finite.
 class CloudBuilder {
  public:
-  CloudBuilder(const std::array<bool, slot_count>& present, double color_scale) : color_scale_(color_scale) {
-    has_normals_ = present[slot_nx] && present[slot_ny] && present[slot_nz];
-    has_colors_ = present[slot_red] && present[slot_green] && present[slot_blue];
-  }
+  CloudBuilder(const Columns& columns, double color_scale)
+      : has_normals_(columns.has_three(slot_nx)), has_colors_(columns.has_three(slot_red)), color_scale_(color_scale) {}
 
   void reserve(std::size_t count) {
     cloud_.points.reserve(count);
@@ -103,13 +128,13 @@ class CloudBuilder {
   }
 
   PointCloud cloud_;
-  bool has_normals_ = false, has_colors_ = false;
-  double color_scale_ = 1;
+  bool has_normals_, has_colors_;
+  double color_scale_;
   std::size_t bad_ = 0, first_bad_ = 0;
 };
 
-/// Splits a line at any of the separators; `words` is reused.
-void split(std::string_view line, std::string_view separators, std::vector<std::string_view>& words) {
+/// Splits a line; `words` is reused.
+void split(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;") {
   words.clear();
   for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
     const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
@@ -250,7 +275,7 @@ class PlyReader {
     std::string_view line;
     do {
       if (!file_.read_line(line)) throw file_.error("is truncated: ends before its last \"" + element.name + "\"");
-      split(line, " \t", words_);
+      split(line, words_, " \t");
     } while (words_.empty());
     std::size_t next = 0;
     const auto number = [&] {
@@ -293,31 +318,21 @@ double color_scale_of(PlyType type) {
 
 PointCloud read_ply_vertices(PlyReader& reader, const InputFile& file, const PlyElement& element,
                              const Context& context) {
-  constexpr std::size_t absent = std::numeric_limits<std::size_t>::max();
-  std::array<std::size_t, slot_count> property_of_slot;
-  property_of_slot.fill(absent);
-  std::array<bool, slot_count> present{};
+  Columns columns;
   for (std::size_t p = 0; p < element.properties.size(); ++p) {
     const std::size_t slot = slot_of(element.properties[p].name);
-    if (slot == slot_count || element.properties[p].list_count || present[slot]) continue;
-    property_of_slot[slot] = p;
-    present[slot] = true;
+    if (slot != slot_count && !element.properties[p].list_count && !columns.column[slot]) columns.column[slot] = p;
   }
   for (const std::size_t slot : {slot_x, slot_y, slot_z}) {
-    if (!present[slot]) throw file.error("has vertices without " + std::string(slot_names[slot][0]));
+    if (!columns.column[slot]) throw file.error("has vertices without " + std::string(slot_names[slot][0]));
   }
-  const double color_scale =
-      present[slot_red] ? color_scale_of(element.properties[property_of_slot[slot_red]].type) : 1;
-  CloudBuilder builder(present, color_scale);
+  const auto& red = columns.column[slot_red];
+  CloudBuilder builder(columns, red ? color_scale_of(element.properties[*red].type) : 1);
   bool reserved = false;
-  PointValues point{};
   reader.read(element, context, [&](const std::vector<double>& values, const auto&) {
     // Only here, because the reader has now compared the count with the file's size.
     if (!std::exchange(reserved, true)) builder.reserve(element.count);
-    for (std::size_t slot = 0; slot < slot_count; ++slot) {
-      if (present[slot]) point[slot] = values[property_of_slot[slot]];
-    }
-    builder.add(point);
+    builder.add(columns.point(values));
   });
   return builder.finish(file);
 }
@@ -373,21 +388,6 @@ TriangleMesh read_ply(InputFile& file, PlyParts parts, const Context& context) {
 
 // ---- XYZ text ----
 
-constexpr std::string_view xyz_separators = " \t,;";
-
-/// Which column holds which slot; `columns` is the number that a line must have.
-struct Columns {
-  std::array<bool, slot_count> present{};
-  std::array<std::size_t, slot_count> column{};
-  std::size_t columns = 0;
-
-  void set(std::size_t slot, std::size_t index) {
-    present[slot] = true;
-    column[slot] = index;
-    columns = std::max(columns, index + 1);
-  }
-};
-
 bool is_comment(std::string_view line) {
   const std::size_t first = line.find_first_not_of(" \t");
   return first == std::string_view::npos || line[first] == '#' || line[first] == '%' || line.substr(first, 2) == "//";
@@ -404,32 +404,28 @@ std::size_t slot_of_column(std::string_view name) {
 std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
   const bool comment = is_comment(line);
   line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
-  split(line, xyz_separators, words);
+  split(line, words);
   if (words.empty() || (comment && slot_of_column(words[0]) == slot_count)) return std::nullopt;
   Columns columns;
   for (std::size_t i = 0; i < words.size(); ++i) {
     const std::size_t slot = slot_of_column(words[i]);
-    if (slot != slot_count && !columns.present[slot]) columns.set(slot, i);
+    if (slot != slot_count && !columns.column[slot]) columns.column[slot] = i;
   }
-  if (!columns.present[slot_x] || !columns.present[slot_y] || !columns.present[slot_z]) return std::nullopt;
-  return columns;
+  return columns.has_three(slot_x) ? std::optional(columns) : std::nullopt;
 }
 
 /// Meaning of columns without names, from their number and the first line's values.
 Columns columns_of_values(const std::vector<double>& values) {
   Columns columns;
-  const auto set_three = [&](std::size_t slot, std::size_t first) {
-    for (std::size_t i = 0; i < 3; ++i) columns.set(slot + i, first + i);
-  };
-  set_three(slot_x, 0);
+  columns.set_three(slot_x, 0);
   if (values.size() == 6) {
     const double square = values[3] * values[3] + values[4] * values[4] + values[5] * values[5];
     const bool bytes = std::all_of(values.begin() + 3, values.end(),
                                    [](double v) { return v >= 0 && v <= 255 && v == std::floor(v); });
-    set_three(bytes && square != 1 ? slot_red : slot_nx, 3);
+    columns.set_three(bytes && square != 1 ? slot_red : slot_nx, 3);
   } else if (values.size() == 9) {
-    set_three(slot_red, 3);
-    set_three(slot_nx, 6);
+    columns.set_three(slot_red, 3);
+    columns.set_three(slot_nx, 6);
   }
   return columns;
 }
@@ -437,21 +433,17 @@ Columns columns_of_values(const std::vector<double>& values) {
 /// Whether commas in the line are decimal signs, as programs write them in some countries: the other separators alone
 /// divide it into three words or more, and one of these is two numbers with a comma between them.
 bool has_decimal_commas(std::string_view line) {
-  constexpr std::string_view separators = " \t;";
-  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
   if (line.find(',') == std::string_view::npos) return false;
-  std::size_t words = 0;
-  bool decimal = false;
-  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos; ++words) {
-    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
-    std::string_view word = line.substr(at, end - at);
+  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+  const auto is_decimal = [&](std::string_view word) {
     if (word.ends_with(',')) word.remove_suffix(1);  // commas divide the columns, too: 1,5, 2,25, 3,75
     const std::size_t comma = word.find(',');
     const bool inside = comma != std::string_view::npos && comma > 0 && comma + 1 < word.size();
-    decimal = decimal || (inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]));
-    at = end;
-  }
-  return decimal && words >= 3;
+    return inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]);
+  };
+  std::vector<std::string_view> words;
+  split(line, words, " \t;");
+  return words.size() >= 3 && std::ranges::any_of(words, is_decimal);
 }
 
 PointCloud read_xyz(InputFile& file, const Context& context) {
@@ -470,7 +462,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
       if (columns) continue;
     }
     if (is_comment(line)) continue;
-    split(line, xyz_separators, words);
+    split(line, words);
     values.resize(words.size());
     bool numbers = true;
     for (std::size_t i = 0; i < words.size(); ++i) numbers = numbers && parse_number(words[i], values[i]);
@@ -480,13 +472,9 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     if (!numbers || values.size() < 3) throw malformed_line(file, line);
     if (has_decimal_commas(line)) throw malformed_line(file, line, "numbers with decimal points, not commas");
     if (!columns) columns = columns_of_values(values);
-    if (values.size() < columns->columns) throw malformed_line(file, line);
-    if (first) builder.emplace(columns->present, 1.0);
-    PointValues point{};
-    for (std::size_t slot = 0; slot < slot_count; ++slot) {
-      if (columns->present[slot]) point[slot] = values[columns->column[slot]];
-    }
-    builder->add(point);
+    if (values.size() < columns->count()) throw malformed_line(file, line);
+    if (first) builder.emplace(*columns, 1.0);
+    builder->add(columns->point(values));
   }
   if (!builder) throw file.error("has no points");
   return builder->finish(file);
@@ -575,13 +563,8 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
   file.commit();
 }
 
-}  // namespace
-
-namespace {
-
 bool is_scan_name(const std::filesystem::path& path) {
-  std::string suffix = path.extension().string();
-  std::transform(suffix.begin(), suffix.end(), suffix.begin(), [](unsigned char c) { return std::tolower(c); });
+  const std::string suffix = in_lower_case(path.extension().string());
   return suffix == ".las" || suffix == ".laz" || suffix == ".e57";
 }
 
@@ -596,16 +579,16 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
   return read_xyz(file, context);
 }
 
-TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
-  InputFile file(path, what);
+TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context) {
+  InputFile file(path, "mesh");
   if (!is_ply(path)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
   if (mesh.triangles.empty()) throw file.error("has no faces");
   return mesh;
 }
 
-TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context, const std::string& what) {
-  InputFile file(path, what);
+TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context) {
+  InputFile file(path, "reference");
   if (is_ply(path)) return read_ply(file, PlyParts::vertices_and_faces, context);
   require_text(path, file);
   return {read_xyz(file, context), {}};

@@ -28,12 +28,10 @@ PointCloud read_point_cloud(const std::filesystem::path& path, const Context& co
 
 /// Reads a PLY mesh; vertices as in read_point_cloud, polygons are split into triangle fans. Further errors: a file
 /// without faces, and vertex indices out of range.
-TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context = {},
-                       const std::string& what = "mesh");
+TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context = {});
 
-/// Reads the files of read_mesh, and those of read_point_cloud as a mesh without triangles.
-TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context = {},
-                                const std::string& what = "cloud or mesh");
+/// Reads the files of read_mesh, and those of read_point_cloud as a mesh without triangles: a reference.
+TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context = {});
 
 /// Writes binary little-endian PLY, atomically (see AtomicFile): x, y, z, then normals (float) and colors (uchar) where
 /// there are any. Coordinates are float unless rounding to float could move a point by more than a thousandth of the

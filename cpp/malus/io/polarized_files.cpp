@@ -3,17 +3,16 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
-#include <charconv>
 #include <cmath>
 #include <optional>
 #include <set>
 #include <span>
-#include <system_error>
 
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file_internal.h"
+#include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
 
 namespace malus {
@@ -56,13 +55,6 @@ re2::RE2::Options by_bytes(bool any_case) {
   return options;
 }
 
-std::optional<double> number_of(const std::string& text) {
-  double number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return number;
-}
-
 /// Where a file's name may hold an angle: behind a word such as "pol", before one, or, if the folder's name has such a
 /// word, at the end of the name.
 enum class AnglePlace { behind_word, before_word, last_in_folder };
@@ -80,13 +72,13 @@ std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& fi
     const std::string folder = file.parent_path().filename().string();
     if (!re2::RE2::PartialMatch(folder, folder_word) || !re2::RE2::PartialMatch(name, last_number, &digits))
       return std::nullopt;
-    return number_of(digits);
+    return number_of<double>(digits);
   }
   std::optional<double> angle;
   const re2::RE2& marked = place == AnglePlace::behind_word ? behind_word : before_word;
   std::array<re2::StringPiece, 2> found;
   for (std::size_t begin = 0; marked.Match(name, begin, name.size(), re2::RE2::UNANCHORED, found.data(), 2);) {
-    angle = number_of(std::string(found[1]));
+    angle = number_of<double>({found[1].data(), found[1].size()});
     begin = static_cast<std::size_t>(found[0].end() - name.data());
   }
   return angle;
@@ -183,7 +175,7 @@ double angle_of_name(const std::filesystem::path& file, const std::string& patte
   }
   std::string digits;
   re2::RE2::PartialMatch(file.filename().string(), expression, &digits);
-  const std::optional<double> angle = number_of(digits);
+  const std::optional<double> angle = number_of<double>(digits);
   if (!angle) {
     throw input_error(shown + " finds no angle in the name of " + file.string());
   }

@@ -1,6 +1,5 @@
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <map>
 #include <numbers>
@@ -45,7 +44,7 @@ Keys joined(std::initializer_list<Keys> lists) {
 
 /// Keys of a spec's fields, and `keys`, which only the file has.
 template <class Spec>
-std::vector<std::string_view> keys_of(const Spec& spec, std::vector<std::string_view> keys = {}) {
+Keys keys_of(const Spec& spec, Keys keys = {}) {
   Spec::fields(spec, [&keys](std::string_view key, const auto&...) { keys.push_back(key); });
   return keys;
 }
@@ -58,6 +57,12 @@ void read_fields(const TomlTable& table, Spec& spec) {
   });
 }
 
+/// Throws the error `why` for the first of the keys that the table has.
+void refuse(const TomlTable& table, const Keys& keys, const std::string& why) {
+  const auto found = std::ranges::find_if(keys, [&table](std::string_view key) { return table.has(key); });
+  if (found != keys.end()) throw table.error(*found, why);
+}
+
 /// Sub-table of the document, or nothing.
 const toml::table* section(const TomlTable& document, std::string_view key) {
   const toml::node* node = document.find(key);
@@ -66,8 +71,7 @@ const toml::table* section(const TomlTable& document, std::string_view key) {
 }
 
 /// The same, but with its keys checked.
-std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key,
-                                         const std::vector<std::string_view>& keys) {
+std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key, const Keys& keys) {
   const toml::table* table = section(document, key);
   return table ? std::optional(TomlTable(*table, document.file(), "[" + std::string(key) + "]", keys)) : std::nullopt;
 }
@@ -82,6 +86,14 @@ std::vector<const toml::table*> tables(const TomlTable& table, std::string_view 
     if (!element.is_table()) throw table.wrong(key, expected);
     result.push_back(element.as_table());
   }
+  return result;
+}
+
+/// The tables of an array like [[scale]], with their keys checked.
+std::vector<TomlTable> numbered_tables(const TomlTable& document, const std::string& key, const Keys& keys) {
+  std::vector<TomlTable> result;
+  for (const toml::table* table : tables(document, key, "tables [[" + key + "]]"))
+    result.emplace_back(*table, document.file(), "[[" + key + "]] " + std::to_string(result.size() + 1), keys);
   return result;
 }
 
@@ -203,13 +215,9 @@ std::string read_response(const TomlTable& table) {
   constexpr std::string_view gamma = "gamma:";
   if (value == "linear" || value == "srgb") return value;
   if (value.starts_with(gamma)) {
-    double exponent = 0;
-    const char* last = value.data() + value.size();
-    const auto [end, error] = std::from_chars(value.data() + gamma.size(), last, exponent);
-    if (error != std::errc() || end != last || !(exponent >= 0.1 && exponent <= 10)) {
-      throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
-    }
-    return value;
+    const auto exponent = number_of<double>(std::string_view(value).substr(gamma.size()));
+    if (exponent && *exponent >= 0.1 && *exponent <= 10) return value;
+    throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
   }
   const auto path = table.resolve("response", value);
   if (!std::filesystem::exists(path))
@@ -269,9 +277,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     if (spec.images.size() != 1) {
       throw table.error("images", "has " + std::to_string(spec.images.size()) + " files, expected one with `mosaic`");
     }
-    for (const std::string_view key : {"angles_deg", "angle_pattern"}) {
-      if (table.has(key)) throw table.error(key, "cannot be given together with `mosaic`, which states the angles");
-    }
+    refuse(table, {"angles_deg", "angle_pattern"}, "cannot be given together with `mosaic`, which states the angles");
     require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
     spec.mosaic_colors = table.text("mosaic_colors");
     if (spec.mosaic_colors && std::ranges::find(bayer_patterns, *spec.mosaic_colors) == bayer_patterns.end()) {
@@ -279,13 +285,13 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     }
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
-    if (table.has("mosaic_colors")) throw table.error("mosaic_colors", "is of a `mosaic`, which is not given");
+    refuse(table, {"mosaic_colors"}, "is of a `mosaic`, which is not given");
     spec.angles_deg = read_angles(table, spec.images);
   }
   spec.exposure_s = read_exposures(table, spec);
   spec.channel_weights = table.numbers_exactly<3>("channel_weights", not_negative);
   if (spec.channel_weights) {
-    if (table.has("channel")) throw table.error("channel", "cannot be given together with channel_weights");
+    refuse(table, {"channel"}, "cannot be given together with channel_weights");
     const auto& weights = *spec.channel_weights;
     if (!(weights[0] + weights[1] + weights[2] > 0))
       throw table.wrong("channel_weights", "weights of which one is positive");
@@ -297,9 +303,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     throw table.wrong("black_level", "less than the white level");
   }
   if (std::ranges::any_of(spec.images, is_raw_name)) {
-    for (const std::string_view key : {"response", "white_level", "black_level", "mosaic"}) {
-      if (table.has(key)) throw table.error(key, "is not for RAW files, whose metadata say it");
-    }
+    refuse(table, {"response", "white_level", "black_level", "mosaic"}, "is not for RAW files, whose metadata say it");
     if (!std::ranges::all_of(spec.images, is_raw_name)) {
       throw table.error("images", "has RAW files and others, expected one kind");
     }
@@ -367,9 +371,7 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
 std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station) {
   std::vector<ControlPoint> points;
   std::set<std::string> names;
-  for (const toml::table* entry : tables(document, "control", "tables [[control]]")) {
-    const TomlTable table(*entry, document.file(), "[[control]] " + std::to_string(points.size() + 1),
-                          keys_of(ControlPoint{}));
+  for (const TomlTable& table : numbered_tables(document, "control", keys_of(ControlPoint{}))) {
     ControlPoint point;
     point.name = read_name(table, points.size(), names);
     point.xyz = table.required(table.numbers_exactly<3>("xyz"), "xyz", "the coordinates [X, Y, Z]");
@@ -419,16 +421,12 @@ LensCamera read_lens(const TomlTable& table) {
   lens.size.width = table.required(table.integer("width", side), "width", "the image width in pixels");
   lens.size.height = table.required(table.integer("height", side), "height", "the image height in pixels");
   if (lens.model == LensModel::brown) {
-    if (table.has("params"))
-      throw table.error("params", "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
+    refuse(table, {"params"}, "is not used by model BROWN, expected focal_mm, pixel_mm, x0_mm, …");
     lens.params.push_back(table.required(table.number("focal_mm", positive_range), "focal_mm", "the camera constant"));
     lens.params.push_back(table.required(table.number("pixel_mm", positive_range), "pixel_mm", "the pixel's size"));
     for (std::size_t i = 2; i < brown_keys.size(); ++i) lens.params.push_back(table.number(brown_keys[i]).value_or(0));
   } else {
-    for (const std::string_view key : brown_keys) {
-      if (table.has(key))
-        throw table.error(key, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
-    }
+    refuse(table, brown_keys, "belongs to model BROWN, not to " + std::string(to_string(lens.model)));
     lens.params = table.required(table.numbers("params"), "params", "the parameters in COLMAP's order");
   }
   lens.validate(table.where("params"));
@@ -472,9 +470,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
 }
 
 void read_colmap_camera(const TomlTable& table, StationFile& station) {
-  for (const std::string_view key : joined({lens_keys, pose_keys})) {
-    if (table.has(key)) throw table.error(key, "cannot be given together with colmap_model");
-  }
+  refuse(table, joined({lens_keys, pose_keys}), "cannot be given together with colmap_model");
   const auto folder = table.resolve("colmap_model", *table.text("colmap_model"));
   const std::string name = table.required(table.text("image"), "image", "the station's image name in the COLMAP model");
   if (!std::filesystem::is_directory(folder))
@@ -564,7 +560,7 @@ double read_radius(const TomlTable& table) {
 
 /// [prior].plane, .sphere or .cylinder; nothing without them.
 std::optional<Shape> read_shape(const TomlTable& table) {
-  const auto inner = [&table](std::string_view key, const std::vector<std::string_view>& known) {
+  const auto inner = [&table](std::string_view key, const Keys& known) {
     const toml::table* found = section(table, key);
     return found ? std::optional(TomlTable(*found, table.file(), "[prior]." + std::string(key), known)) : std::nullopt;
   };
@@ -629,29 +625,24 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
   for (const std::string_view key : {"a_xyz", "b_xyz"}) {
     if (!table.has(key)) continue;
     if (photos) throw table.error(key, "is a point of a given prior's frame; with [photos] mark it in them: a, b");
-    for (const std::string_view other : {"a", "b", "targets"})
-      if (table.has(other)) throw table.error(other, "cannot be given together with a_xyz and b_xyz");
+    refuse(table, {"a", "b", "targets"}, "cannot be given together with a_xyz and b_xyz");
     bar.a_xyz = table.required(table.numbers_exactly<3>("a_xyz"), "a_xyz", "a point [x, y, z]");
     bar.b_xyz = table.required(table.numbers_exactly<3>("b_xyz"), "b_xyz", "a point [x, y, z]");
   }
   if (bar.a_xyz) return bar;
-  if (table.has("targets") && !photos)
-    throw table.error("targets",
-                      "are found in [photos]; for a given prior mark the ends (a, b) or give a_xyz and b_xyz");
+  if (!photos)
+    refuse(table, {"targets"}, "are found in [photos]; for a given prior mark the ends (a, b) or give a_xyz and b_xyz");
   if (table.has("targets")) {
-    for (const std::string_view key : {"a", "b"}) {
-      if (table.has(key)) throw table.error(key, "cannot be given together with targets");
-    }
-    const std::string expected = "two different target numbers";
+    refuse(table, {"a", "b"}, "cannot be given together with targets");
     const auto targets = *table.numbers_exactly<2>("targets", {0, 1e6});
     if (targets[0] == targets[1] || targets[0] != std::floor(targets[0]) || targets[1] != std::floor(targets[1])) {
-      throw table.wrong("targets", expected);
+      throw table.wrong("targets", "two different target numbers");
     }
     bar.targets = std::array{static_cast<int>(targets[0]), static_cast<int>(targets[1])};
     bar.targets_dictionary = table.required(table.text("targets_dictionary"), "targets_dictionary",
                                             "the targets' dictionary, such as \"aruco_4x4_50\"");
   } else {
-    if (table.has("targets_dictionary")) throw table.error("targets_dictionary", "needs `targets`");
+    refuse(table, {"targets_dictionary"}, "needs `targets`");
     for (const std::string_view key : {"a", "b"}) {
       std::vector<ImageMark>& end = key == "a" ? bar.a : bar.b;
       end = read_marks(table, key, photos);
@@ -665,7 +656,7 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
 
 /// Reads all bars; the bars of a given prior scale the prior and the camera's position.
 void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
-  const auto bars = tables(document, "scale", "tables [[scale]]");
+  const std::vector<TomlTable> bars = numbered_tables(document, "scale", keys_of(ScaleBar{}));
   if (bars.empty()) return;
   if (!station.control.empty()) {
     throw document.error("scale",
@@ -681,10 +672,7 @@ void read_scale_bars(const TomlTable& document, StationFile& station, bool has_p
     throw document.error("scale",
                          "needs [photos], in which its ends are marked, or [prior] and [camera], which it scales");
   }
-  for (std::size_t i = 0; i < bars.size(); ++i) {
-    const TomlTable table(*bars[i], station.path, "[[scale]] " + std::to_string(i + 1), keys_of(ScaleBar{}));
-    station.scale_bars.push_back(read_scale_bar(table, station.photos));
-  }
+  for (const TomlTable& bar : bars) station.scale_bars.push_back(read_scale_bar(bar, station.photos));
   if (station.photos) return;
   std::optional<ColmapModel> model;
   const toml::table* camera = section(document, "camera");
@@ -726,9 +714,9 @@ ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
 }
 
 /// Keys of [polarized]; without the keys of files if the images are in memory.
-std::vector<std::string_view> polarized_keys(const GivenInMemory* given) {
+Keys polarized_keys(const GivenInMemory* given) {
   if (given == nullptr) return keys_of(PolarizedSpec{}, {"angle_pattern"});
-  std::vector<std::string_view> keys = keys_of(PolarizedSpec{});
+  Keys keys = keys_of(PolarizedSpec{});
   std::erase_if(keys, [](std::string_view key) { return key == "images" || key == "mask"; });
   return keys;
 }
@@ -747,17 +735,11 @@ void require_in_image(const std::vector<std::array<double, 2>>& curve_pixels, Si
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   require_in_image(station.polarized.curve_pixels, size, document.where("[polarized].curve_pixels"));
   std::set<std::string> names;
-  for (const toml::table* entry : tables(document, "patch", "tables [[patch]]")) {
-    const std::size_t index = station.patches.size();
-    const TomlTable table(*entry, document.file(), "[[patch]] " + std::to_string(index + 1), {"name", "box"});
-    station.patches.push_back(read_patch(table, read_name(table, index, names), size));
-  }
+  for (const TomlTable& table : numbered_tables(document, "patch", {"name", "box"}))
+    station.patches.push_back(read_patch(table, read_name(table, station.patches.size(), names), size));
   names.clear();
-  for (const toml::table* entry : tables(document, "profile", "tables [[profile]]")) {
-    const std::size_t index = station.profiles.size();
-    const TomlTable table(*entry, document.file(), "[[profile]] " + std::to_string(index + 1), keys_of(ProfileSpec{}));
-    station.profiles.push_back(read_profile(table, read_name(table, index, names), size));
-  }
+  for (const TomlTable& table : numbered_tables(document, "profile", keys_of(ProfileSpec{})))
+    station.profiles.push_back(read_profile(table, read_name(table, station.profiles.size(), names), size));
 }
 
 }  // namespace
@@ -766,28 +748,27 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
                                 const GivenInMemory* given) {
   StationFile station;
   station.path = path;
-  std::vector<std::string_view> known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
+  Keys known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
   if (given == nullptr) known.insert(known.end(), {"camera", "photos", "control"});
   const TomlTable document(root, path, "", known);
-  const auto optional_section = [&](std::string_view key, const std::vector<std::string_view>& keys) {
-    return checked_section(document, key, keys);
-  };
 
   station.name = path.parent_path().filename().string();
-  if (const auto table = optional_section("station", {"name", "unit"})) {
+  if (const auto table = checked_section(document, "station", {"name", "unit"})) {
     station.name = table->text("name").value_or(station.name);
     station.unit = read_unit(*table, station.unit);
   }
-  if (const auto table = optional_section("object", keys_of(ObjectSpec{}))) read_fields(*table, station.object);
-  const auto polarized = document.required(optional_section("polarized", polarized_keys(given)), "polarized",
+  if (const auto table = checked_section(document, "object", keys_of(ObjectSpec{})))
+    read_fields(*table, station.object);
+  const auto polarized = document.required(checked_section(document, "polarized", polarized_keys(given)), "polarized",
                                            "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized, given);
-  if (const auto table = optional_section("optics", {"refractive_index", "reflection", "light"}))
+  if (const auto table = checked_section(document, "optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
-  if (const auto table = optional_section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
+  if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
+    station.photos = read_photos(*table);
   const bool prior_in_memory = given != nullptr && given->has_prior;
   if (const auto table =
-          optional_section("prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
+          checked_section(document, "prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
     station.prior = read_prior(*table, prior_in_memory);
     station.prior_sigma = table->number("sigma", length_range);
   }
@@ -800,7 +781,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     images = size_of_images(station, polarized.where("images"));
   }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = optional_section("camera", camera_keys)) read_camera(document, *table, images, station);
+  if (const auto table = checked_section(document, "camera", camera_keys))
+    read_camera(document, *table, images, station);
   if (station.prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
@@ -824,7 +806,7 @@ StationFile read_photos_tables(const std::filesystem::path& path) {
   StationFile station;
   station.path = std::filesystem::absolute(path).lexically_normal();
   const toml::table root = read_toml(station.path, "file");
-  std::vector<std::string_view> all;
+  Keys all;
   for (const auto& entry : root) all.push_back(entry.first.str());
   const TomlTable document(root, station.path, "", all);
   if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))

@@ -7,7 +7,6 @@
 #include <exception>
 #include <memory>
 #include <stdexcept>
-#include <vector>
 
 #include "malus/io/image_codecs_internal.h"
 
@@ -49,24 +48,44 @@ struct Options {
   TIFFOpenOptions* options;
 };
 
-/// A file in memory, read by libtiff through its client interface.
-struct Source {
-  std::string_view bytes;
-  toff_t position = 0;
+/// A file that libtiff reads or writes through its client interface; handles point to this base.
+struct Stream {
+  toff_t position = 0, size = 0;
 };
 
-/// The same for a file that is written. Errors name the file and the system's reason.
-struct Target {
-  AtomicFile& file;
-  toff_t position = 0, size = 0;
-  std::exception_ptr failure = nullptr;  ///< libtiff is C: no exception may pass it
+/// A file in memory.
+struct Source : Stream {
+  explicit Source(std::string_view content) : Stream{0, content.size()}, bytes(content) {}
+
+  std::string_view bytes;
 };
+
+/// A file that is written. Errors name the file and the system's reason.
+struct Target : Stream {
+  explicit Target(AtomicFile& written) : file(written) {}
+
+  AtomicFile& file;
+  std::exception_ptr failure;  ///< libtiff is C: no exception may pass it
+};
+
+toff_t seek(thandle_t handle, toff_t offset, int whence) {
+  auto& stream = *static_cast<Stream*>(handle);
+  const toff_t base = whence == SEEK_CUR ? stream.position : whence == SEEK_END ? stream.size : 0;
+  stream.position = base + offset;
+  return stream.position;
+}
+toff_t size_of(thandle_t handle) {
+  return static_cast<Stream*>(handle)->size;
+}
+int keep_open(thandle_t) {
+  return 0;
+}
 
 tmsize_t target_read(thandle_t, void*, tmsize_t) {
   return -1;  // called only for files with several images
 }
 tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
-  auto& target = *static_cast<Target*>(handle);
+  auto& target = *static_cast<Target*>(static_cast<Stream*>(handle));
   try {
     target.file.write_at(target.position, data, static_cast<std::size_t>(size));
   } catch (...) {
@@ -77,19 +96,10 @@ tmsize_t target_write(thandle_t handle, void* data, tmsize_t size) {
   target.size = std::max(target.size, target.position);
   return size;
 }
-toff_t target_seek(thandle_t handle, toff_t offset, int whence) {
-  auto& target = *static_cast<Target*>(handle);
-  const toff_t base = whence == SEEK_CUR ? target.position : whence == SEEK_END ? target.size : 0;
-  target.position = base + offset;
-  return target.position;
-}
-toff_t target_size(thandle_t handle) {
-  return static_cast<Target*>(handle)->size;
-}
 
 tmsize_t source_read(thandle_t handle, void* target, tmsize_t size) {
-  auto& source = *static_cast<Source*>(handle);
-  if (source.position >= source.bytes.size()) return 0;
+  auto& source = *static_cast<Source*>(static_cast<Stream*>(handle));
+  if (source.position >= source.size) return 0;
   const std::size_t count =
       std::min<std::size_t>(static_cast<std::size_t>(size), source.bytes.size() - source.position);
   std::memcpy(target, source.bytes.data() + source.position, count);
@@ -98,18 +108,6 @@ tmsize_t source_read(thandle_t handle, void* target, tmsize_t size) {
 }
 tmsize_t source_write(thandle_t, void*, tmsize_t) {
   return 0;
-}
-toff_t source_seek(thandle_t handle, toff_t offset, int whence) {
-  auto& source = *static_cast<Source*>(handle);
-  const toff_t base = whence == SEEK_CUR ? source.position : whence == SEEK_END ? source.bytes.size() : 0;
-  source.position = base + offset;
-  return source.position;
-}
-int keep_open(thandle_t) {
-  return 0;
-}
-toff_t source_size(thandle_t handle) {
-  return static_cast<Source*>(handle)->bytes.size();
 }
 
 /// How the samples of a file are stored.
@@ -276,13 +274,13 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   const Options options(errors);
   const std::size_t data_bytes = image.count() * sizeof(Sample);
   const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
-  Target target{.file = file};
+  Target target(file);
   const auto require = [&](bool done) {
     if (target.failure) std::rethrow_exception(target.failure);
     if (!done) throw resource_error("cannot write " + file.path().string() + ": " + errors.message);
   };
-  Handle tiff(TIFFClientOpenExt("image", mode, &target, target_read, target_write, target_seek, keep_open, target_size,
-                                nullptr, nullptr, options.options));
+  Handle tiff(TIFFClientOpenExt("image", mode, static_cast<Stream*>(&target), target_read, target_write, seek,
+                                keep_open, size_of, nullptr, nullptr, options.options));
   require(tiff != nullptr);
   const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
   const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(Sample))));
@@ -317,9 +315,9 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
 RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
   Errors errors;
   const Options options(errors);
-  Source source{.bytes = bytes};
-  const Handle tiff(TIFFClientOpenExt("image", "rm", &source, source_read, source_write, source_seek, keep_open,
-                                      source_size, nullptr, nullptr, options.options));
+  Source source(bytes);
+  const Handle tiff(TIFFClientOpenExt("image", "rm", static_cast<Stream*>(&source), source_read, source_write, seek,
+                                      keep_open, size_of, nullptr, nullptr, options.options));
   if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
   const Layout layout = read_layout(tiff.get(), alpha);
   check_block(layout);

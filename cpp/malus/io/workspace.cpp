@@ -177,18 +177,6 @@ bool is_of_something_else(const fs::path& manifest) {
   }
 }
 
-/// The caller must hold the folder's lock.
-void remove_unfinished_files(const fs::path& folder) {
-  std::error_code error;
-  constexpr auto options = fs::directory_options::skip_permission_denied;
-  for (fs::recursive_directory_iterator entry(folder, options, error), end; !error && entry != end;
-       entry.increment(error)) {
-    const fs::path& path = entry->path();
-    std::error_code ignored;
-    if (is_unfinished(path)) fs::remove(path, ignored);
-  }
-}
-
 SortedJson to_json(const Workspace::Owner& owner, const fs::path& folder) {
   const bool in_code = owner.file.empty();
   return {{"name", owner.name},
@@ -283,7 +271,12 @@ std::vector<std::string> Workspace::changed_since(std::string_view step, const C
 }
 
 void Workspace::remove_unfinished() const {
-  remove_unfinished_files(state_->folder);
+  std::error_code error, ignored;
+  constexpr auto options = fs::directory_options::skip_permission_denied;
+  for (fs::recursive_directory_iterator entry(state_->folder, options, error), end; !error && entry != end;
+       entry.increment(error)) {
+    if (is_unfinished(entry->path())) fs::remove(entry->path(), ignored);
+  }
 }
 
 void Workspace::forget(const std::string& step, const std::vector<std::string>& leaves) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/options/prior_options.h"
@@ -25,6 +26,8 @@ struct ModelRefinement {
   BundleReport adjustment;
   /// Standard deviations of the parameters of each lens that was adjusted, by camera id.
   std::map<std::uint32_t, std::vector<double>> lens_sigma;
+
+  MALUS_FIELDS(status, points, matches, matches_a_point, sigma_px, keypoint_px)
 };
 
 /// Measures the points of a COLMAP model again by least-squares matching and adjusts lenses, poses and points to the

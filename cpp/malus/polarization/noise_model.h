@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "malus/core/field_list.h"
+
 namespace malus {
 
 /// Noise of a linear intensity in [0, 1] of the white level: shot noise, read noise, quantization, averaged frames.
@@ -10,6 +12,8 @@ struct NoiseModel {
   double read_noise_e = 8;     ///< electrons RMS
   double quantization = 0;     ///< one digital number as a share of the white level
   int frames_averaged = 1;
+
+  MALUS_FIELDS(full_well_e, read_noise_e, quantization, frames_averaged)
 
   /// Variance of one (averaged) intensity whose expectation is `signal`.
   double variance(double signal) const {

@@ -14,11 +14,11 @@
 #include <utility>
 #include <vector>
 
-#include "malus/core/bounding_box_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/prior/choose_smoothing_internal.h"

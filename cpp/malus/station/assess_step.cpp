@@ -13,7 +13,7 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
                            const HeightMap* height, const RefinementFindings* refinement, const Warnings& warnings) {
   const StationFile& station = job.station.file;
   std::optional<TriangleMesh> reference;
-  if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context, "reference");
+  if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context);
   const Mask object = object_mask(*polarization.state);
   Quality quality = assess({.surface = &surface,
                             .prior = &prior,

@@ -6,21 +6,19 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <sstream>
 
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/response_internal.h"
+#include "malus/core/digits_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
-#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
 #include "malus/polarization/reflection.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"
-#include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_internal.h"
 
 namespace malus {
@@ -32,10 +30,8 @@ void warn(Plan& plan, const Finding& finding) {
   if (finding.severity >= Severity::warning) plan.confidence.limit(ConfidenceLevel::low, finding.text());
 }
 
-std::string with_count(double count, const std::string& noun) {
-  std::ostringstream text;
-  text << static_cast<long long>(count) << ' ' << noun;
-  return text.str();
+std::string with_count(std::size_t count, const std::string& noun) {
+  return std::to_string(count) + ' ' + noun;
 }
 
 /// Reads every image; warns of images that are clipped or dark on the object. Throws what the run would throw for an
@@ -66,8 +62,7 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
     for (std::size_t i = 0; i < object.count(); ++i) clipped += object[i] != 0 && linear.saturated[i] != 0;
     const double share = clipped / plan.object_pixels;
     if (share > 0.01) {
-      plan.warnings.push_back(input.names[k] + ": " +
-                              with_count(std::round(100 * share), "% of the object's pixels are saturated"));
+      plan.warnings.push_back(input.names[k] + ": " + percent(share) + " of the object's pixels are saturated");
     }
     if (!doubt.empty()) {
       plan.warnings.push_back(doubt);
@@ -91,24 +86,21 @@ std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const Cam
 /// Descriptions of steps from this station's own files, by the step's name.
 using Details = std::map<std::string, std::string>;
 
-/// Reads the prior and describes it. Throws what the run would throw for an unusable prior.
+/// Describes the prior. Throws what the run would throw for an unusable prior.
 struct PriorCheck {
   const Station& station;
   const Mask& object;
   const PriorOptions& options;
-  const Context& context;
   Plan& plan;
   Details& details;
 
   std::string operator()(std::monostate) const { return "from the photos"; }
-  std::string operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, context)); }
-  std::string operator()(PointCloud given) const {
-    const PointCloud cloud = scaled(std::move(given), station.file.prior_scale);
+  std::string operator()(const PointCloud& cloud) const {
     const CameraSpec& camera = *station.file.camera;
     const std::string& unit = station.file.unit;
     const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
-    const std::string share = with_count(static_cast<double>(found.size()), "of the cloud's ") +
-                              with_count(static_cast<double>(cloud.points.size()), "points fall on the object");
+    const std::string share =
+        with_count(found.size(), "of the cloud's ") + with_count(cloud.points.size(), "points fall on the object");
     if (static_cast<double>(found.size()) < options.min_points) {
       const std::string why = why_cloud_misses(cloud, camera.pose, camera.lens.pinhole(), object, unit);
       throw data_error(share + ", expected at least " + std::to_string(options.min_points) +
@@ -122,11 +114,8 @@ struct PriorCheck {
     }
     return share;
   }
-  std::string operator()(const MeshFile& file) const {
-    return "mesh of " + with_count(static_cast<double>(read_mesh(file.path, context).triangles.size()), "triangles");
-  }
-  std::string operator()(const DepthFile& file) const {
-    return (*this)(read_float_raster(file.path, "prior depth map"));
+  std::string operator()(const TriangleMesh& mesh) const {
+    return "mesh of " + with_count(mesh.triangles.size(), "triangles");
   }
   std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
   std::string operator()(const Image<float>& depth) const {
@@ -140,14 +129,10 @@ struct PriorCheck {
 std::string describe_images(const Station& station) {
   const StationFile& file = station.file;
   const std::size_t images = station.in_memory() ? station.images.size() : file.polarized.images.size();
-  std::string text = with_count(static_cast<double>(images), file.polarized.mosaic ? "mosaic" : "images");
+  std::string text = with_count(images, file.polarized.mosaic ? "mosaic" : "images");
   if (file.camera && file.camera->lens.has_distortion())
     text += ", undistorted from " + std::string(to_string(file.camera->lens.model));
   return text;
-}
-
-double pixels_on(const Mask& object) {
-  return static_cast<double>(std::ranges::count_if(object, [](std::uint8_t value) { return value != 0; }));
 }
 
 /// The station as the Python package hands it over once the prior is made from its photos.
@@ -160,10 +145,9 @@ void warn_of_memory(Plan& plan) {
   const double machine_mb =
       1e-6 * static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
   if (plan.memory_mb < machine_mb) return;
-  plan.warnings.push_back("the run is expected to take " +
-                          with_count(std::round(plan.memory_mb / 1000), "GB of memory, of which this machine has ") +
-                          with_count(std::round(machine_mb / 1000),
-                                     "GB: take fewer threads, mask what is not the object, or halve the images"));
+  plan.warnings.push_back("the run is expected to take " + std::to_string(std::lround(plan.memory_mb / 1000)) +
+                          " GB of memory, of which this machine has " + std::to_string(std::lround(machine_mb / 1000)) +
+                          " GB: take fewer threads, mask what is not the object, or halve the images");
 }
 
 }  // namespace
@@ -174,7 +158,8 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
   context.validate();
   const Size size = known_size ? *known_size : captured_size(station);
   const Station planned = with_prior_of_photos(station);
-  const Workload work{planned, options, size, pixels_on(captured_object(station, size)) / 1e6, context.threads};
+  const Workload work{planned, options, size, 1e-6 * static_cast<double>(count_of_set(captured_object(station, size))),
+                      context.threads};
   std::vector<ExpectedTime> times;
   for (const Step* step : steps_of_run(step_table(), planned, options, until))
     times.push_back({step->name, step->cost(work).seconds});
@@ -187,7 +172,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.name = station.file.name;
   plan.size = captured_size(station);
   const Mask object = captured_object(station, plan.size);
-  plan.object_pixels = pixels_on(object);
+  plan.object_pixels = static_cast<double>(count_of_set(object));
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
   if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
@@ -197,7 +182,7 @@ Plan check_station(const Station& station, const Options& options, const Context
       throw input_error(station.file.path.string() +
                         ": [camera] has no pose, expected a camera whose position is known");
     }
-    details["prior"] = std::visit(PriorCheck{station, object, options.prior, context, plan, details}, station.prior);
+    details["prior"] = with_prior(station, context, PriorCheck{station, object, options.prior, plan, details});
   } else if (!station.file.photos) {
     plan.warnings.emplace_back(
         "no coarse surface is named ([prior], or [photos] to make one from), which `malus run` needs; without one "

@@ -5,8 +5,6 @@
 #include <Eigen/Core>
 #include <vector>
 
-#include "malus/core/camera.h"
-#include "malus/core/geometry.h"
 #include "malus/core/image.h"
 #include "malus/station/station.h"
 

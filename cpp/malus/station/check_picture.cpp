@@ -1,8 +1,6 @@
 #include <variant>
 
-#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/check_picture_internal.h"
@@ -13,26 +11,20 @@ namespace {
 
 constexpr std::size_t most_points = 100000;
 
-/// The prior's points in the world frame and the station's unit. A depth map is in the undistorted view.
+/// The prior's points in the world frame. A depth map is in the undistorted view.
 struct PriorPoints {
   const CameraSpec& camera;
-  double scale = 1;  ///< of the prior
-  const Context& context;
 
   using Points = std::vector<Eigen::Vector3d>;
 
   Points operator()(std::monostate) const { return {}; }
-  Points operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, context)); }
-  Points operator()(const MeshFile& file) const { return (*this)(read_mesh(file.path, context).vertices); }
-  Points operator()(const DepthFile& file) const { return (*this)(read_float_raster(file.path)); }
+  Points operator()(PointCloud cloud) const { return std::move(cloud.points); }
+  Points operator()(TriangleMesh mesh) const { return std::move(mesh.vertices.points); }
   Points operator()(const Shape& shape) const {
-    return points_of(depth_of_shape(scaled(shape, scale), camera.lens.pinhole(), camera.pose));
+    return (*this)(depth_of_shape(shape, camera.lens.pinhole(), camera.pose));
   }
-  Points operator()(PointCloud cloud) const { return scaled(std::move(cloud), scale).points; }
-  Points operator()(const SweptDepth& swept) const { return points_of(swept.depth); }
-  Points operator()(const Image<float>& depth) const { return points_of(scaled(depth, scale)); }
-
-  Points points_of(const Image<float>& depth) const {
+  Points operator()(const SweptDepth& swept) const { return (*this)(swept.depth); }
+  Points operator()(const Image<float>& depth) const {
     const Pinhole pinhole = camera.lens.pinhole();
     Points points;
     for (int v = 0; v < depth.height(); ++v)
@@ -60,7 +52,7 @@ CheckPicture check_picture(const Station& station, const Context& context) {
   picture.object = captured_object(station, picture.image.size());
   if (!station.file.camera) return picture;
   const CameraSpec& camera = *station.file.camera;
-  const auto points = std::visit(PriorPoints{camera, station.file.prior_scale, context}, station.prior);
+  const auto points = with_prior(station, context, PriorPoints{camera});
   const std::vector<SeenPoint> seen = seen_points(points, camera, picture.image.size());
   for (std::size_t i = 0; i < seen.size(); i += seen.size() / most_points + 1) {
     const SeenPoint& point = seen[i];

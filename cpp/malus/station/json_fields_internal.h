@@ -16,8 +16,6 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/fields.h"
-#include "malus/core/pose.h"
-#include "malus/polarization/noise_model.h"
 
 namespace malus {
 
@@ -28,50 +26,9 @@ struct IsOptional : std::false_type {};
 template <class T>
 struct IsOptional<std::optional<T>> : std::true_type {};
 
-/// Visits the fields of a struct that lists them itself. Overloads for types of other rooms that do not are below.
-template <class Self, class Visitor>
-auto visit_fields(Self& value, Visitor&& visit) -> decltype(std::remove_const_t<Self>::fields(value, visit)) {
-  return std::remove_const_t<Self>::fields(value, visit);
-}
-
-template <class Self, class T>
-concept Some = std::same_as<std::remove_const_t<Self>, T>;
-
-template <Some<Pinhole> Self, class Visitor>
-void visit_fields(Self& camera, Visitor&& visit) {
-  visit("width", camera.size.width);
-  visit("height", camera.size.height);
-  visit("fx", camera.fx);
-  visit("fy", camera.fy);
-  visit("cx", camera.cx);
-  visit("cy", camera.cy);
-}
-
-template <Some<LensCamera> Self, class Visitor>
-void visit_fields(Self& lens, Visitor&& visit) {
-  visit("model", lens.model);
-  visit("width", lens.size.width);
-  visit("height", lens.size.height);
-  visit("params", lens.params);
-}
-
-template <Some<Pose> Self, class Visitor>
-void visit_fields(Self& pose, Visitor&& visit) {
-  visit("rotation", pose.rotation);
-  visit("translation", pose.translation);
-}
-
-template <Some<NoiseModel> Self, class Visitor>
-void visit_fields(Self& noise, Visitor&& visit) {
-  visit("full_well_e", noise.full_well_e);
-  visit("read_noise_e", noise.read_noise_e);
-  visit("quantization", noise.quantization);
-  visit("frames_averaged", noise.frames_averaged);
-}
-
 template <class T>
 concept HasFields = requires(T& value) {
-  visit_fields(value, [](auto&&...) {});
+  std::remove_const_t<T>::fields(value, [](auto&&...) {});
 };
 
 template <class T>
@@ -105,7 +62,7 @@ Json fields_to_json(const T& value) {
     return value.string();
   } else if constexpr (HasFields<const T>) {
     Json json = Json::object();
-    visit_fields(value, [&](std::string_view name, const auto& member, const auto&...) {
+    T::fields(value, [&](std::string_view name, const auto& member, const auto&...) {
       json[std::string(name)] = fields_to_json(member);
     });
     return json;
@@ -145,8 +102,8 @@ void fields_from_json(T& value, const Json& json) {
     if (!known) throw std::invalid_argument(json.dump());
     value = *known;
   } else if constexpr (HasFields<T>) {
-    visit_fields(value,
-                 [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
+    T::fields(value,
+              [&](std::string_view name, auto& member) { fields_from_json(member, json.at(std::string(name))); });
   } else if constexpr (EigenMatrix<T>) {
     const bool is_matrix = T::ColsAtCompileTime != 1 && !json.empty();
     value.resize(static_cast<Eigen::Index>(json.size()), is_matrix ? static_cast<Eigen::Index>(json[0].size()) : 1);

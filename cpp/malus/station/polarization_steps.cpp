@@ -10,9 +10,9 @@
 
 #include "malus/capture/capture_internal.h"
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/core/percent_internal.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
 #include "malus/io/image_file_internal.h"

@@ -4,21 +4,6 @@
 #include "malus/station/prior_scale_internal.h"
 
 namespace malus {
-namespace {
-
-void scale_lengths(PlaneShape& plane, double scale) {
-  plane.point *= scale;
-}
-void scale_lengths(SphereShape& sphere, double scale) {
-  sphere.center *= scale;
-  sphere.radius *= scale;
-}
-void scale_lengths(CylinderShape& cylinder, double scale) {
-  cylinder.point *= scale;
-  cylinder.radius *= scale;
-}
-
-}  // namespace
 
 PointCloud scaled(PointCloud cloud, double scale) {
   for (Eigen::Vector3d& point : cloud.points) point *= scale;
@@ -31,7 +16,12 @@ TriangleMesh scaled(TriangleMesh mesh, double scale) {
 }
 
 Shape scaled(Shape shape, double scale) {
-  std::visit([scale](auto& some) { scale_lengths(some, scale); }, shape);
+  const auto scale_lengths = [scale](auto& some) {
+    if constexpr (requires { some.point; }) some.point *= scale;
+    if constexpr (requires { some.center; }) some.center *= scale;
+    if constexpr (requires { some.radius; }) some.radius *= scale;
+  };
+  std::visit(scale_lengths, shape);
   return shape;
 }
 

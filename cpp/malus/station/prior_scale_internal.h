@@ -2,13 +2,16 @@
 
 // Private to the station room: scales a given prior to metric size by known distances.
 
+#include <concepts>
 #include <string>
+#include <variant>
 #include <vector>
 
-#include "malus/core/image.h"
-#include "malus/core/shape.h"
+#include "malus/core/context.h"
+#include "malus/io/colmap_workspace_internal.h"
+#include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
-#include "malus/io/station_spec.h"
+#include "malus/station/station.h"
 
 namespace malus {
 
@@ -17,6 +20,27 @@ PointCloud scaled(PointCloud cloud, double scale);
 TriangleMesh scaled(TriangleMesh mesh, double scale);
 Shape scaled(Shape shape, double scale);
 Image<float> scaled(Image<float> depth, double scale);
+
+/// Calls use(prior) with the station's prior in memory and in the station's unit: a cloud, mesh, depth map, shape or
+/// SweptDepth, or std::monostate without one. Files are read for this.
+template <class Use>
+auto with_prior(const Station& station, const Context& context, const Use& use) {
+  const double scale = station.file.prior_scale;
+  const auto with_source = [&]<class Source>(const Source& source) {
+    if constexpr (std::same_as<Source, CloudFile>) {
+      return use(scaled(read_cloud(source.path, context), scale));
+    } else if constexpr (std::same_as<Source, MeshFile>) {
+      return use(scaled(read_mesh(source.path, context), scale));
+    } else if constexpr (std::same_as<Source, DepthFile>) {
+      return use(scaled(read_float_raster(source.path, "prior depth map"), scale));
+    } else if constexpr (std::same_as<Source, SweptDepth> || std::same_as<Source, std::monostate>) {
+      return use(source);  // swept depth maps are in the station's unit already
+    } else {
+      return use(scaled(source, scale));
+    }
+  };
+  return std::visit(with_source, station.prior);
+}
 
 /// The scale and the remaining error of each scale bar, in one line; empty without bars that scale a given prior.
 std::string describe_scale(const StationFile& station);

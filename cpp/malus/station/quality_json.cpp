@@ -6,17 +6,6 @@ namespace malus {
 
 Json refine_report_json(const RefineReport& report) {
   const ReflectionModel& model = report.reflection;
-  Json iterations = Json::array();
-  for (const RefineIteration& i : report.iterations) {
-    iterations.push_back({{"binning", i.binning},
-                          {"cost_before", i.cost_before},
-                          {"cost_after", i.cost_after},
-                          {"stokes_cost", i.stokes_cost},
-                          {"median_residual", i.median_residual},
-                          {"change_gsd", i.change_gsd},
-                          {"rejected_steps", i.rejected_steps},
-                          {"failed_tiles", i.failed_tiles}});
-  }
   // Only one of the two reflection models was used; fits of the other one do not belong to the result.
   Json light, lobe, environment, mirror, surroundings, metal;
   const Image<float>& radiance = report.surroundings.radiance;
@@ -65,7 +54,7 @@ Json refine_report_json(const RefineReport& report) {
           {"regions_compared", report.regions_compared},
           {"regions_taken", report.regions_taken},
           {"tiles", report.tiles},
-          {"iterations", iterations}};
+          {"iterations", fields_to_json(report.iterations)}};
 }
 
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,

@@ -4,6 +4,7 @@
 #include "malus/io/station_file_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
+#include "malus/station/prior_scale_internal.h"
 
 namespace malus {
 namespace {
@@ -28,27 +29,19 @@ Json describe_prior(const Station& station) {
 /// Every file that results may depend on, except the photos' folder.
 std::vector<std::filesystem::path> files_of(const StationFile& file) {
   std::vector<std::filesystem::path> files = file.polarized.images;
-  const auto add = [&files](const auto&... path) { (files.push_back(path), ...); };
+  const auto add = [&files](const std::filesystem::path& path) { files.push_back(path); };
   if (!file.path.empty()) add(file.path);
   if (file.polarized.mask) add(*file.polarized.mask);
   if (std::filesystem::is_regular_file(file.polarized.response)) add(file.polarized.response);
   if (file.optics.label_image) add(*file.optics.label_image);
   for (const auto& path : file.camera_files) add(path);
-  if (!file.prior) return files;
-  const auto path_of = []<class Source>(const Source& source) -> std::filesystem::path {
-    if constexpr (std::same_as<Source, Shape>) {
-      return {};
-    } else {
-      return source.path;
+  const auto add_prior = [&add](const auto& source) {
+    if constexpr (requires { source.path; }) {  // a shape has no file
+      if (!std::filesystem::is_directory(source.path)) return add(source.path);
+      for (const auto& path : colmap_workspace_files(source.path)) add(path);
     }
   };
-  const std::filesystem::path prior = std::visit(path_of, *file.prior);
-  if (prior.empty()) return files;
-  if (!std::filesystem::is_directory(prior)) {
-    add(prior);
-  } else {
-    for (const auto& path : colmap_workspace_files(prior)) add(path);
-  }
+  if (file.prior) std::visit(add_prior, *file.prior);
   return files;
 }
 
@@ -88,6 +81,14 @@ std::string describe_station_json(const Station& station) {
   json["patches"] = fields_to_json(file.patches);
   json["profiles"] = fields_to_json(file.profiles);
   return json.dump();
+}
+
+std::vector<std::string> station_warnings(const Station& station) {
+  std::vector<std::string> warnings = scale_warnings(station.file);
+  // The camera from a model of photos is in the control points' frame only after the photogrammetry.
+  if (station.file.frame_is_of_photos() && !station.photogrammetry) return warnings;
+  for (std::string& warning : control_warnings(station.file)) warnings.push_back(std::move(warning));
+  return warnings;
 }
 
 }  // namespace malus

@@ -3,7 +3,6 @@
 // Private to the station room: the description of a step. steps.cpp has the table of all steps. Running, resuming,
 // describing and estimating the cost of a reconstruction all follow from that table.
 
-#include <concepts>
 #include <functional>
 #include <map>
 #include <memory>

@@ -6,7 +6,6 @@
 
 #include "malus/core/version.h"
 #include "malus/io/sha256_internal.h"
-#include "malus/station/station_warnings_internal.h"
 #include "malus/station/step_runner_internal.h"
 #include "malus/station/step_watch_internal.h"
 #include "malus/station/surface_words_internal.h"

@@ -2,7 +2,6 @@
 
 // Private to the station room: time and memory of a step.
 
-#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <mutex>

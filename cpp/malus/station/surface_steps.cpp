@@ -10,9 +10,7 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
-#include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/glb_file_internal.h"
-#include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/lighting/light_internal.h"
@@ -64,32 +62,16 @@ struct PriorMaker {
   const PriorOptions& options;
   PriorPoints& points;
 
-  /// The source with its lengths in the station's unit.
-  template <class T>
-  T in_unit(const T& source) const {
-    const double scale = job.station.file.prior_scale;
-    return scale == 1 ? source : scaled(source, scale);
-  }
-
-  DepthPrior operator()(const SweptDepth& swept) const {
-    return project_prior(swept, camera, pose, mask, options, job.context);
-  }
   template <class T>
   DepthPrior operator()(const T& source) const {
-    return project_prior(in_unit(source), camera, pose, mask, options, job.context);
+    return project_prior(source, camera, pose, mask, options, job.context);
   }
-  DepthPrior operator()(const PointCloud& given) const {
-    const PointCloud cloud = in_unit(given);
+  DepthPrior operator()(const PointCloud& cloud) const {
     DepthPrior prior = project_prior(cloud, camera, pose, mask, options, job.context);
     points.map = seen_points(cloud, prior);
     return prior;
   }
   DepthPrior operator()(std::monostate) const { throw std::logic_error("a prior is made of nothing"); }
-  DepthPrior operator()(const CloudFile& file) const { return (*this)(read_cloud(file.path, job.context)); }
-  DepthPrior operator()(const MeshFile& file) const { return (*this)(read_mesh(file.path, job.context)); }
-  DepthPrior operator()(const DepthFile& file) const {
-    return (*this)(read_float_raster(file.path, "prior depth map"));
-  }
 };
 
 /// Logs the fusion's warnings like all warnings, and limits the confidence by the findings about the inputs.
@@ -130,8 +112,8 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
     job.context.log(LogLevel::info, scale);
   PriorOptions options = job.options.prior;
   if (!options.sigma) options.sigma = job.station.file.prior_sigma;
-  DepthPrior prior =
-      std::visit(PriorMaker{job, view.camera, pose, object_mask(*measured.state), options, points}, job.station.prior);
+  const PriorMaker maker{job, view.camera, pose, object_mask(*measured.state), options, points};
+  DepthPrior prior = with_prior(job.station, job.context, maker);
   return {std::move(prior), std::move(points)};
 }
 

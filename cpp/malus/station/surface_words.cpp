@@ -2,7 +2,6 @@
 #include <string>
 
 #include "malus/core/digits_internal.h"
-#include "malus/core/percent_internal.h"
 #include "malus/core/version.h"
 #include "malus/fusion/refined_share_internal.h"
 #include "malus/station/surface_words_internal.h"

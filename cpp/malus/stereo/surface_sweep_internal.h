@@ -59,6 +59,9 @@ struct SweepResult {
   double median_sigma_gsd = 0;
   bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs three photos
   std::vector<SweepPassReport> passes;
+
+  MALUS_FIELDS(views_total, views_used, completeness, highlights, median_score, median_sigma_gsd, halves_compared,
+               passes)
 };
 
 /// Depth of every pixel of the station's view, by comparing this view with the photos.

@@ -5,10 +5,10 @@
 #include <optional>
 #include <string>
 
-#include "malus/core/bounding_box_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 #include "malus/stereo/visual_hull_internal.h"
 
