@@ -417,7 +417,7 @@ def _reconstruct(
         if getattr(args, flag, False) and reference is None:
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
     if getattr(args, "m3c2", False):
-        m3c2.require_library()  # now, not after hours of work
+        m3c2.py4dgeo()  # now, not after hours of work
     if register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():
@@ -699,7 +699,6 @@ def _paper(args: argparse.Namespace) -> None:
         given = [f"--{name}" for name in of_a_run if getattr(args, name)]
         if given:
             raise InputError(f"{', '.join(given)}: for a station's run, expected no --campaign beside it")
-    if args.campaign is not None:
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)
         return

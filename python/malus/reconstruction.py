@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
-from malus.camera import Camera
 from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
+from malus.photogrammetry.front_end import camera_of
 from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
@@ -236,10 +236,7 @@ def _with_photos(
             log_of("photos")("warning", warning)
         lens = cameras.station
         if "camera" in description:
-            given = description["camera"]
-            lens = Camera(
-                given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation
-            )
+            lens = replace(camera_of(description["camera"]), rotation=lens.rotation, translation=lens.translation)
         else:
             # Now that the lens is known, the images can be undistorted.
             placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [])

@@ -71,9 +71,7 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     ]
     accuracy, note = accuracy_of(quality, quality["gsd"])
     lines.append(f"  accuracy: {accuracy} ({note})")
-    lines += [
-        *(f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)),
-    ]
+    lines += [f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
         shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
@@ -142,25 +140,15 @@ class _Quality:
 def _figures(plates: Plates) -> dict[str, list[Figure]]:
     quality = plates.quality
     profiles = [plates.profile_lines(), *plates.profiles()] if quality["profiles"] else []
-    of_paper = _plates_of_the_paper(plates)
     return {
         "relief": [*plates.shadings(), *plates.elevations()],
-        "polarization": [*plates.polarization(), *of_paper["polarization"]],
+        "polarization": [*plates.polarization(), *paper_plates.sinusoids(plates)],
         "height": list(plates.height()),
         "profiles": profiles,
-        "patches": [*of_paper["patches"], *plates.patches()],
-        "uncertainty": [*of_paper["uncertainty"], *plates.uncertainty()],
+        "patches": [*paper_plates.patch_boxes(plates), *plates.patches()],
+        "uncertainty": [*paper_plates.cloud(plates), *plates.uncertainty()],
         "reference": list(plates.reference()),
         "m3c2": list(plates.m3c2()),
-    }
-
-
-def _plates_of_the_paper(plates: Plates) -> dict[str, list[Figure]]:
-    """Fig. 1c, 9 and 14 of the paper, by the section of the report to which they belong."""
-    return {
-        "polarization": list(paper_plates.sinusoids(plates)),
-        "uncertainty": list(paper_plates.cloud(plates)),
-        "patches": list(paper_plates.patch_boxes(plates)),
     }
 
 
