@@ -21,7 +21,7 @@
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute('position', new THREE.BufferAttribute(positions, 3));
   geometry.setAttribute('uv', new THREE.BufferAttribute(coordinates, 2));
-  geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
+  geometry.setIndex(new THREE.BufferAttribute(await unpack.words(data.indices, Uint32Array), 1));
   geometry.computeVertexNormals();
 
   const relight = unpack.block('relight-data');
