@@ -178,7 +178,7 @@ def _add_runs(add: _Add) -> None:
         "example",
         nargs="?",
         default="relief",
-        choices=list(EXAMPLES),
+        choices=EXAMPLES,
         help="name of the example; default: relief",
         metavar="|".join(EXAMPLES),
     )

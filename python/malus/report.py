@@ -7,7 +7,6 @@ import shutil
 import webbrowser
 from collections.abc import Mapping, Sequence
 from importlib import metadata
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from malus.paper.tables import table_1
 from malus.photo_words import WORDS
 from malus.report_head import accuracy_of, head_of
 from malus.trust import what_to_trust
-from malus.workspace import STEPS, Workspace, WorkspaceGiver
+from malus.workspace import STEPS, Workspace, WorkspaceGiver, folder_of
 
 #: The surfaces that the report compares, in the order of its tables.
 SURFACES = ("prior", "polarization", "fused")
@@ -203,17 +202,13 @@ def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = 
     memory needs, a copy of the page alone is written there, too. Raises InputError if a file that the report shows was changed
     after its step wrote it.
     """
-    if not isinstance(work, (str, PathLike)):
-        if output is None and work.workspace is None:
-            raise InputError(f"output is missing: {work.name} is in memory, expected the path of an HTML file")
-        with work.in_workspace() as folder:
-            return write_report(folder, output)
-    page = _write_in(Workspace(work))
-    if output is None:
-        return page
-    with replacing(Path(output)) as temporary:
-        shutil.copyfile(page, temporary)
-    return Path(output)
+    with folder_of(work, output, "an HTML file") as folder:
+        page = _write_in(Workspace(folder))
+        if output is None:
+            return page
+        with replacing(Path(output)) as temporary:
+            shutil.copyfile(page, temporary)
+        return Path(output)
 
 
 def _write_in(workspace: Workspace) -> Path:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from time import monotonic
 from typing import Any, Protocol
@@ -37,6 +38,20 @@ class WorkspaceGiver(Protocol):
 
     def in_workspace(self) -> AbstractContextManager[Path]:
         """The workspace folder; for a result in memory, a temporary one that exists until the context ends."""
+
+
+@contextmanager
+def folder_of(work: str | Path | WorkspaceGiver, output: str | Path | None, what_output: str) -> Iterator[Path]:
+    """The workspace folder of a result. Without an `output` (`what_output`: what it names, for the message), InputError for a result in
+    memory: its folder is temporary, and with it all that is written there.
+    """
+    if isinstance(work, str | PathLike):
+        yield Path(work)
+        return
+    if output is None and work.workspace is None:
+        raise InputError(f"output is missing: {work.name} is in memory, expected the path of {what_output}")
+    with work.in_workspace() as folder:
+        yield folder
 
 
 class Workspace:

@@ -17,7 +17,7 @@ from malus.camera import Camera
 from malus.errors import DataError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.model import SparseModel, colmap_params
+from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
 
@@ -130,12 +130,7 @@ def _place(
         log,
     )  # fmt: skip
     bench.report("station", 0.8, "adjustment with the station")
-    bench.adjust(
-        "station",
-        triangulated,
-        placed,
-        adjustment,
-    )
+    bench.adjust("station", triangulated, placed, adjustment)
     result = PlacedStations(placed, SparseModel.read(placed), matches)
     if not any(result.has(image) for image in stations):
         raise failure
@@ -164,8 +159,7 @@ def _lens_options(stations: Mapping[str, StationView], calibrated: bool) -> tupl
 
 def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[str, object]:
     if station.lens is not None:
-        params = ",".join(repr(float(p)) for p in colmap_params(station.lens))
-        return {"camera_model": station.lens.model, "camera_params": params}
+        return reader_options(station.lens)
     if station.shared_with is not None:
         return {"existing_camera_id": database.camera_of(source, station.shared_with)}
     return {"camera_model": SELF_CALIBRATED}
