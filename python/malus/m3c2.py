@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._extra import extra
 from malus._files import write_text
-from malus._robust import robust_spread
+from malus._robust import distance_figures
 from malus.errors import DataError, InputError
 from malus.workspace import Workspace
 
@@ -117,18 +117,9 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
     counts, edges = np.histogram(values, _BINS, (-spread, spread))
     limit = detectable[known & np.isfinite(detectable)] / gsd
     significant = np.abs(found) > detectable
-    median = float(np.median(values))
     return {
         "compared_fraction": float(known.mean()),
-        "distance_gsd": {
-            "count": int(known.sum()),
-            "mean": float(values.mean()),
-            "rmse": float(np.sqrt(np.mean(values**2))),
-            "mad": robust_spread(values - median),
-            "p05": float(np.percentile(values, 5)),
-            "median": median,
-            "p95": float(np.percentile(values, 95)),
-        },
+        "distance_gsd": {"count": int(known.sum()), **distance_figures(values)},
         "detection_limit_median_gsd": float(np.median(limit)) if limit.size else None,
         "significant_fraction": float(significant[known].mean()),
         "histogram_gsd": {
