@@ -10,7 +10,6 @@
 #include "interruptible.h"
 #include "malus/fusion/refined_share_internal.h"
 #include "malus/io/given_station_internal.h"
-#include "malus/io/sha256_internal.h"
 #include "malus/io/station_file_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
@@ -223,7 +222,6 @@ void bind_workspace(py::module_& module) {
   });
   module.attr("refined_nowhere") = refined_nowhere;
   module.attr("refined_everywhere") = refined_everywhere;
-  module.def("sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); });
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();

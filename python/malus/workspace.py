@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._core import FusedSurface
+from malus._files import sha256_of
 from malus.camera import Camera
 from malus.errors import InputError
 from malus.options import Options
@@ -107,7 +108,7 @@ class Workspace:
         if not self.has(name):
             raise InputError(f"{path}: no step that is done has made it; run `malus run` first")
         if name not in self._checked:
-            if _core.sha256_of_file(str(path)) != self.outputs[name]["sha256"]:
+            if sha256_of(path) != self.outputs[name]["sha256"]:
                 raise InputError(f"{path}: is not as its step left it; run `malus run` again")
             self._checked.add(name)
         return path
