@@ -325,15 +325,7 @@ def _run_mapper(
 
 def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
     bench.report("adjustment", 0, "adjustment of all photos")
-    refine = int(not fixed)
-    bench.adjust(
-        "adjustment",
-        bench.folder / best,
-        bench.folder / "adjusted",
-        {
-            "BundleAdjustment.refine_focal_length": refine,
-            "BundleAdjustment.refine_extra_params": refine,
-            "BundleAdjustment.refine_principal_point": int(not fixed and count >= MIN_PHOTOS_PRINCIPAL_POINT),
-        },
-    )
+    enough = count >= MIN_PHOTOS_PRINCIPAL_POINT
+    source, target = bench.folder / best, bench.folder / "adjusted"
+    bench.adjust("adjustment", source, target, lens=not fixed, principal_point=not fixed and enough)
     return {}
