@@ -75,15 +75,15 @@ def photos_tables(path: str) -> str: ...
 def reconstruct(
     station: Station,
     options: str,
-    workspace: str | None,
-    replace: bool,
-    until: str | None,
-    reference: str | None,
-    keep_maps: bool,
-    known: Results | None,
     threads: int,
-    progress: Callable[[str, float, str], None] | None,
-    log: Callable[[str, str], None] | None,
+    workspace: str | None = None,
+    replace: bool = False,
+    until: str | None = None,
+    reference: str | None = None,
+    keep_maps: bool = True,
+    known: Results | None = None,
+    progress: Callable[[str, float, str], None] | None = None,
+    log: Callable[[str, str], None] | None = None,
 ) -> dict[str, Any]: ...
 def check(station: Station, options: str, threads: int) -> str: ...
 def expected_times(
