@@ -11,7 +11,6 @@
 #include "interruptible.h"
 #include "malus/fusion/refined_share_internal.h"
 #include "malus/io/given_station_internal.h"
-#include "malus/io/sha256_internal.h"
 #include "malus/io/station_file_internal.h"
 #include "malus/io/workspace_internal.h"
 #include "malus/station/check.h"
@@ -188,9 +187,10 @@ void bind_run(py::module_& module) {
 
   module.def(
       "reconstruct",
-      [](const Station& station, const Options& options, const std::optional<std::string>& workspace, bool replace,
-         const std::optional<std::string>& until, const std::optional<std::string>& reference, bool keep_maps,
-         const std::shared_ptr<Results>& known, int threads, const py::object& on_progress, const py::object& on_log) {
+      [](const Station& station, const Options& options, int threads, const std::optional<std::string>& workspace,
+         bool replace, const std::optional<std::string>& until, const std::optional<std::string>& reference,
+         bool keep_maps, const std::shared_ptr<Results>& known, const py::object& on_progress,
+         const py::object& on_log) {
         RunOptions run{.replace = replace, .until = until, .keep_maps = keep_maps, .known = known.get()};
         if (workspace) run.workspace = *workspace;
         if (reference) run.reference = *reference;
@@ -199,9 +199,10 @@ void bind_run(py::module_& module) {
                           [&](const Context& context) { *results = reconstruct(station, options, run, context); });
         return to_dict(results, station.file.camera ? station.file.camera->pose : Pose{});
       },
-      py::arg("station"), py::arg("options"), py::arg("workspace"), py::arg("replace"), py::arg("until"),
-      py::arg("reference"), py::arg("keep_maps"), py::arg("known"), py::arg("threads"), py::arg("progress"),
-      py::arg("log"));
+      py::arg("station"), py::arg("options"), py::arg("threads"), py::arg("workspace") = py::none(),
+      py::arg("replace") = false, py::arg("until") = py::none(), py::arg("reference") = py::none(),
+      py::arg("keep_maps") = true, py::arg("known") = py::none(), py::arg("progress") = py::none(),
+      py::arg("log") = py::none());
 }
 
 void bind_workspace(py::module_& module) {
@@ -222,8 +223,6 @@ void bind_workspace(py::module_& module) {
   });
   module.attr("refined_nowhere") = refined_nowhere;
   module.attr("refined_everywhere") = refined_everywhere;
-  module.def(
-      "sha256_of_file", [](const std::string& path) { return sha256_of_file(path, "output"); }, WithoutGil());
   module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();

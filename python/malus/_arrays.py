@@ -84,6 +84,16 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
     return angles
 
 
+def as_rows(
+    values: ArrayLike, name: str, count: int | None = None, dtype: type[np.generic] = np.float64
+) -> NDArray[Any]:
+    """The values as an N×3 array of `dtype`, C-contiguous; ValueError for another shape, or if a given `count` is not N."""
+    array = np.ascontiguousarray(values, dtype=dtype)
+    if array.ndim != 2 or array.shape[1] != 3 or (count is not None and len(array) != count):
+        raise ValueError(f"{name} has shape {array.shape}, expected ({'N' if count is None else count}, 3)")
+    return array
+
+
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
     """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
     if not (full_well_e > 0 and np.isfinite(full_well_e)):
@@ -94,8 +104,10 @@ def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int)
         raise ValueError(f"frames_averaged = {frames_averaged}, expected 1 or more")
 
 
-def as_mask(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """H×W, 255 where the values are neither zero nor NaN."""
+def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+    """H×W, 255 where the values are neither zero nor NaN; None without values."""
+    if values is None:
+        return None
     array = unmasked(values, "mask")
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")

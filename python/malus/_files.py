@@ -8,6 +8,7 @@ import glob
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -44,6 +45,11 @@ def is_utf8(name: str) -> bool:
 def as_text(name: str) -> str:
     """The name of a file as readable ASCII text, with all other bytes as escape sequences."""
     return os.fsencode(name).decode("ascii", "backslashreplace")
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Key that sorts names as people number them: a2 before a10, whether letters are capital or not."""
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", name)]
 
 
 def resolved(path: str | Path) -> Path:

@@ -22,7 +22,7 @@ from xml.sax.saxutils import escape
 
 from malus import _core, exif
 from malus._extra import extra
-from malus._files import replacing, scratch_folder
+from malus._files import replacing, scratch_folder, sha256_of
 from malus.errors import InputError
 from malus.lengths import shown
 from malus.photogrammetry.photos import photos_of
@@ -103,7 +103,7 @@ def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
             is_as_read = True  # read by the C++ library: `_inputs` compares the checksum in the manifest
         if not is_as_read:
             raise _changed(path)
-        files[os.path.relpath(path, file.parent)] = _Input(path, _core.sha256_of_file(str(path)))
+        files[os.path.relpath(path, file.parent)] = _Input(path, sha256_of(path))
     figures = workspace.quality.get("photogrammetry")
     if "photos" in says and figures:  # with a prior of its own the photographs were not used
         for name, sha256 in figures["files"].items():
@@ -118,7 +118,7 @@ def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
 
 def _as_read(path: Path, sha256: str) -> _Input:
     _require_there(path)
-    if _core.sha256_of_file(str(path)) != sha256:
+    if sha256_of(path) != sha256:
         raise _changed(path)
     return _Input(path, sha256)
 

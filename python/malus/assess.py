@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image
+from malus._arrays import as_image, as_rows
 from malus._core import FusedSurface
 from malus.camera import Camera
 from malus.options import Options
@@ -70,9 +70,7 @@ def compare(
     `median_gsd`, `compared_fraction`, `status`, and `reference_from_surface` (scale, rotation by rows, translation). The option
     `assess.alignment` says how the surface is moved onto the reference first.
     """
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"vertices has shape {points.shape}, expected (N, 3)")
+    points = as_rows(vertices, "vertices")
     faces = None
     if triangles is not None:
         indices = np.ascontiguousarray(triangles, dtype=np.int64)

@@ -48,13 +48,7 @@ COLUMNS = (
 def run_station(task: Task) -> Outcome:
     """Run one station to its end and write its marker; a failure is returned as an outcome, not raised."""
     started = time.monotonic()
-    outcome: Outcome = {
-        "station": task.identifier,
-        "file": task.station,
-        "status": "done",
-        "reason": "",
-        "exit_code": 0,
-    }
+    outcome = _outcome(task, "done")
     try:
         outcome["key"] = task.key()
         result = reconstruct(
@@ -73,7 +67,7 @@ def run_station(task: Task) -> Outcome:
         outcome["manifest"] = _manifest(task)
     except Exception as error:  # no error of one station may end the others
         code, reason = ending_of(error)
-        outcome |= {"status": "failed", "reason": reason, "exit_code": code}
+        outcome |= _outcome(task, "failed", reason, code)
     outcome["seconds"] = round(time.monotonic() - started, 3)
     write_record(task.marker, outcome)
     return outcome
@@ -180,10 +174,15 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
     return error_of(failed[0]["exit_code"])("\n".join(lines))
 
 
+def _outcome(task: Task, status: str, reason: str = "", exit_code: int = 0) -> Outcome:
+    return {
+        "station": task.identifier, "file": task.station, "status": status, "reason": reason, "exit_code": exit_code
+    }  # fmt: skip
+
+
 def _killed(task: Task, reason: str) -> Outcome:
     """Write the marker of a station whose process was killed before it could."""
-    outcome: Outcome = {"station": task.identifier, "file": task.station, "status": "failed", "reason": reason}
-    outcome |= {"exit_code": ResourceError.exit_code, "key": task.key(), "seconds": 0.0}
+    outcome = {**_outcome(task, "failed", reason, ResourceError.exit_code), "key": task.key(), "seconds": 0.0}
     write_record(task.marker, outcome)
     return outcome
 
@@ -297,7 +296,7 @@ def _marker(task: Task) -> Outcome:
     """The outcome of a station, if it is still valid; otherwise pending. Results are valid if their manifest is unchanged and
     its files exist with their sizes. Their content is not checked: reading a whole campaign would take longer than some stations.
     """
-    pending = {"station": task.identifier, "file": task.station, "status": "pending", "reason": "", "exit_code": 0}
+    pending = _outcome(task, "pending")
     outcome = read_record(task.marker)
     if outcome is None or outcome.get("key") != task.key():
         return pending

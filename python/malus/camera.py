@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
+from malus._arrays import as_rows
 
 
 @dataclass
@@ -89,10 +90,8 @@ class Camera:
         determine a pose, or do not fit. Method: SQPnP (Terzakis and Lourakis 2020) and, near a plane, IPPE (Collins and
         Bartoli 2014), then least squares.
         """
-        known = np.asarray(points, dtype=np.float64)
+        known = as_rows(points, "points")
         marks = np.asarray(pixels, dtype=np.float64)
-        if known.ndim != 2 or known.shape[1] != 3:
-            raise ValueError(f"points has shape {known.shape}, expected (N, 3)")
         if marks.shape != (len(known), 2):
             raise ValueError(f"pixels has shape {marks.shape}, expected ({len(known)}, 2) as points")
         found = _core.resect([str(index) for index in range(len(known))], known.T, marks.T, self.values())

@@ -123,6 +123,8 @@ def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
 
 def _common_options() -> _Parser:
     common = _Parser(add_help=False)
+    # What only some commands have.
+    common.set_defaults(reference=None, register=False, m3c2=False, pixels=None)
     common.add_argument("--threads", type=int, metavar="N", help="number of threads; default: all cores")
     common.add_argument(
         "--set",
@@ -178,7 +180,7 @@ def _add_runs(add: _Add) -> None:
         "example",
         nargs="?",
         default="relief",
-        choices=list(EXAMPLES),
+        choices=EXAMPLES,
         help="name of the example; default: relief",
         metavar="|".join(EXAMPLES),
     )
@@ -411,21 +413,20 @@ def _reconstruct(
     options = _options(args)
     if fusion is not None and options.fusion != fusion:
         raise InputError(f"fusion = {options.fusion}, but `malus {args.command}` is {fusion}; use `malus fuse`")
-    reference: Path | None = getattr(args, "reference", None)
-    register: bool = getattr(args, "register", False)
+    reference: Path | None = args.reference
     for flag in ("m3c2", "register"):
-        if getattr(args, flag, False) and reference is None:
+        if getattr(args, flag) and reference is None:
             raise InputError(f"--{flag} needs a reference, expected --reference SCAN.ply")
-    if getattr(args, "m3c2", False):
-        m3c2.require_library()  # now, not after hours of work
-    if register and options.assess.alignment == "none":
+    if args.m3c2:
+        m3c2.py4dgeo()  # now, not after hours of work
+    if args.register and options.assess.alignment == "none":
         options.assess.alignment = "rigid"  # the registration is accurate to a few pixels only
     if reference is not None and not reference.is_file():
         raise InputError(f"--reference {reference}: no such file, expected a cloud or a mesh")
     _require_own_folder(args.output, station_path)
     require_kind(station_path, "station")
     station = malus.Station.load(station_path)
-    if getattr(args, "pixels", None):
+    if args.pixels:
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
     if reference is not None and scans.is_scan(reference):
         _core.claim_workspace(str(args.output), station._core, args.replace)
@@ -450,7 +451,7 @@ def _reconstruct(
                 log=view.log,
             )
 
-        if register and reference is not None:
+        if args.register and reference is not None:
             reconstruct("fuse")
             view.progress("register", 0.0, "")
             reference = registration.register_reference(args.output, reference)
@@ -458,7 +459,7 @@ def _reconstruct(
         reconstruct(until)
         if until == "height":
             _warn_of_height(view, args.output)
-        if getattr(args, "m3c2", False) and reference is not None:
+        if args.m3c2 and reference is not None:
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, reference)
             view.progress("m3c2", 1.0, "")
@@ -699,7 +700,6 @@ def _paper(args: argparse.Namespace) -> None:
         given = [f"--{name}" for name in of_a_run if getattr(args, name)]
         if given:
             raise InputError(f"{', '.join(given)}: for a station's run, expected no --campaign beside it")
-    if args.campaign is not None:
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)
         return

@@ -4,13 +4,8 @@ from pathlib import Path
 
 from malus.errors import InputError
 
-#: Examples by name, with descriptions.
-EXAMPLES = {
-    "relief": "carved, textured stone in the sun",
-    "bust": "head of one color in the sun",
-    "coin": "black-lacquered coin under a softbox",
-    "glass": "black glass with facets and engravings",
-}
+#: Names of the examples.
+EXAMPLES = ("relief", "bust", "coin", "glass")
 
 
 def example_station(name: str = "relief") -> Path:

@@ -37,11 +37,6 @@ class Layer:
     label: str = ""
 
 
-def round_interval(span: float) -> float:
-    """The spacing of contour lines, 1, 2 or 5 times a power of ten, that gives 10 to 25 lines over `span`."""
-    return round_below(span / 10)
-
-
 def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
     """Contour lines of an elevation model, one layer per height; lines are N×3: x right, y up, elevation.
 
@@ -53,7 +48,7 @@ def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
     if known.size == 0 or not np.ptp(known) > 0:
         raise DataError("contours: the elevation model has no relief")
     low, high = (float(x) for x in np.percentile(known, [0.1, 99.9]))
-    step = round_interval(high - low) if interval is None else interval
+    step = round_below((high - low) / 10) if interval is None else interval
     if not step > 0:
         raise InputError(f"--interval {step}, expected a positive length")
     first, last = math.ceil(low / step), math.floor(high / step)

@@ -14,7 +14,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from malus import raw
-from malus.exif import tags_of
+from malus.exif import positive, tags_of
 
 _ICC_PROFILE, _MAKE, _COLOR_SPACE, _GAMMA = 34675, 271, 40961, 42240
 _MIDDLE_GRAY, _DARK_GRAY = 128, 32
@@ -56,7 +56,7 @@ def encoding_of(path: Path) -> Encoding | None:
         return Encoding(False, "the PNG file says sRGB", _SRGB_EXPONENT)
     if isinstance(info.get("gamma"), float) and info["gamma"] > 0:
         return _of_exponent(1 / info["gamma"], f"the PNG file says gamma {1 / info['gamma']:.2g}")
-    if (gamma := _positive(tags.get(_GAMMA))) is not None:
+    if (gamma := positive(tags.get(_GAMMA))) is not None:
         return _of_exponent(gamma, f"the EXIF data say gamma {gamma:.2g}")
     # A camera's JPEG files are always encoded. For other formats the color space alone is not conclusive.
     if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
@@ -118,14 +118,6 @@ def _of_exponent(exponent: float, source: str, *, is_power: bool = False) -> Enc
     return Encoding(True, source, exponent, "linear") if 1 / _LINEAR < exponent < _LINEAR else None
 
 
-def _positive(value: Any) -> float | None:
-    try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
-
-
 def _contradict(a: Encoding, b: Encoding) -> bool:
     if a.is_linear != b.is_linear:
         return True
@@ -141,7 +133,7 @@ def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str, str]]:
     """
     exponent = {"linear": 1.0, "srgb": _SRGB_EXPONENT}.get(response)
     if exponent is None and response.startswith("gamma:"):
-        exponent = _positive(response.removeprefix("gamma:"))
+        exponent = positive(response.removeprefix("gamma:"))
     taken = None if exponent is None else _of_exponent(exponent, "")
     if taken is None:  # a lookup table, or a curve that is neither linear nor a display's
         return []

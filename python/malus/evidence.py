@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_mask, as_shares
+from malus._arrays import as_angles, as_image, as_mask, as_rows, as_shares
 from malus._core import PolarizationState
 from malus.camera import Camera
 from malus.threads import ALL_CORES
@@ -91,22 +91,15 @@ def _scene_and_mask(
     image = None if scene is None else as_image(scene, "scene")
     if image is not None and image.shape != shape:
         raise ValueError(f"scene has shape {image.shape}, expected {shape}")
-    return image, None if mask is None else as_mask(mask, shape)
-
-
-def _rows(values: ArrayLike | None, name: str, count: int, dtype: type) -> NDArray[Any] | None:
-    if values is None:
-        return None
-    array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
-    if array.shape != (count, 3):
-        raise ValueError(f"{name} has shape {array.shape}, expected ({count}, 3)")
-    return array
+    return image, as_mask(mask, shape)
 
 
 def _colors_of(values: ArrayLike | None, count: int) -> NDArray[np.uint8] | None:
     """Colors as bytes; ValueError for those in [0, 1], which all became black, and for those that no byte can have."""
-    colors = _rows(values, "colors", count, np.float64)
-    if colors is None or colors.size == 0:
+    if values is None:
+        return None
+    colors = as_rows(values, "colors", count)
+    if colors.size == 0:
         return None
     low, high = colors.min(), colors.max()
     in_one = np.asarray(values).dtype.kind == "f" and 0 < high <= 1
@@ -138,14 +131,12 @@ def check_cloud(
     the object or has nothing in common with the images, it also tries other units, exchanged or negated axes, and inverted
     poses.
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
+    cloud = as_rows(points, "points")
     image, object_mask = _scene_and_mask(state, camera, scene, mask)
     return PriorFinding(
         **_core.check_cloud(
             cloud,
-            _rows(normals, "normals", len(cloud), np.float32),
+            None if normals is None else as_rows(normals, "normals", len(cloud), np.float32),
             _colors_of(colors, len(cloud)),
             state,
             image,
@@ -177,10 +168,7 @@ def check_size(points_in_cam: ArrayLike, camera: Camera, *, unit: str = "mm") ->
 
     points_in_cam: N×3, of the object, camera frame, N > 0.
     """
-    points = np.ascontiguousarray(points_in_cam, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points_in_cam has shape {points.shape}, expected (N, 3)")
-    return Finding(**_core.check_size(points, camera, unit))
+    return Finding(**_core.check_size(as_rows(points_in_cam, "points_in_cam"), camera, unit))
 
 
 def check_order(
@@ -193,8 +181,7 @@ def check_order(
     of equally spaced angles that are all shifted or counted in the opposite direction.
     """
     stack = as_shares(images, "images")
-    object_mask = None if mask is None else as_mask(mask, stack[0].shape)
-    return OrderFinding(**_core.check_order(stack, as_angles(angles_rad, "angles_rad"), object_mask))
+    return OrderFinding(**_core.check_order(stack, as_angles(angles_rad, "angles_rad"), as_mask(mask, stack[0].shape)))
 
 
 def check_response(
@@ -210,5 +197,6 @@ def check_response(
     encoded images taken as linear, 0.14 for linear images decoded as sRGB.
     """
     stack = as_shares(images, "images")
-    object_mask = None if mask is None else as_mask(mask, stack[0].shape)
-    return Finding(**_core.check_response(stack, as_angles(angles_rad, "angles_rad"), object_mask, response))
+    return Finding(
+        **_core.check_response(stack, as_angles(angles_rad, "angles_rad"), as_mask(mask, stack[0].shape), response)
+    )

@@ -157,6 +157,12 @@ def number_of(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def positive(value: object) -> float | None:
+    """As `number_of`; None also for a number that is not positive."""
+    number = number_of(value)
+    return number if number is not None and number > 0 else None
+
+
 def _shown(tag: int, value: float) -> str:
     if tag == _EXPOSURE_TIME and 0 < value < 0.4:
         return f"1/{1 / value:.6g}"

@@ -31,13 +31,12 @@ from malus.lengths import shown
 from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
-from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
-from malus.workspace import Raster, Workspace
+from malus.workspace import Raster, Workspace, WorkspaceGiver, folder_of
 from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 #: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
@@ -514,7 +513,7 @@ COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
-    work: str | Path | Result,
+    work: str | Path | WorkspaceGiver,
     format: str,
     output: str | Path | None = None,
     *,
@@ -575,23 +574,18 @@ def export(
     if faces is not None and faces < 4:
         raise InputError(f"--faces {faces}, expected at least 4")
     write, name, endings = FORMATS[format]
-    if isinstance(work, Result):
-        if output is None and work.workspace is None:
-            raise InputError(f"output is missing: {work.name} is in memory, expected the path of a file")
-        with work.in_workspace() as folder:
-            return export(
-                folder, format, output, faces=faces, interval=interval, y_up=y_up, albedo=albedo, chart=chart,
-                url=url, trim=trim, fill=fill, threads=threads,
-            )  # fmt: skip
-    path = Path(work) / "export" / name if output is None else Path(output)
-    if path.suffix.lower() not in endings:
-        raise InputError(f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}")
-    correction = None if chart is None else ColorCorrection.load(chart)
-    exporter = Exporter(Workspace(work), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
-    with writing(path):
-        write(exporter, path, Wishes(faces, interval, y_up, url))
-        _keep_if_unchanged(path, exporter.workspace, files_beside(format, path))
-        exported.note(exporter.workspace, path)
+    with folder_of(work, output, "a file") as folder:
+        path = folder / "export" / name if output is None else Path(output)
+        if path.suffix.lower() not in endings:
+            raise InputError(
+                f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}"
+            )
+        correction = None if chart is None else ColorCorrection.load(chart)
+        exporter = Exporter(Workspace(folder), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
+        with writing(path):
+            write(exporter, path, Wishes(faces, interval, y_up, url))
+            _keep_if_unchanged(path, exporter.workspace, files_beside(format, path))
+            exported.note(exporter.workspace, path)
     return path
 
 

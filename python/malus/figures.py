@@ -282,19 +282,6 @@ def style(axes: Any) -> None:
     axes.set_axisbelow(True)
 
 
-@dataclass(frozen=True)
-class _Map:
-    """How one raster is shown."""
-
-    name: str
-    title: str
-    caption: str
-    cmap: str | Colormap
-    label: str = ""
-    limits: tuple[float, float] | None = None
-    ticks: Mapping[float, str] | None = None
-
-
 class Plates:
     """Draws the figures of one workspace."""
 
@@ -374,26 +361,34 @@ class Plates:
         """
         finite = np.abs(raster[np.isfinite(raster)])
         spread = (float(np.percentile(finite, 95)) if finite.size else 0.0) or 1.0
-        return self._map(raster, _Map(name, title, caption, "RdBu", unit, (-spread, spread)), shade, labels)
+        return self._map(
+            name, title, caption, raster, "RdBu", unit, limits=(-spread, spread), shade=shade, labels=labels
+        )
 
     def plain_map(self, name: str, title: str, caption: str, raster: Raster, unit: str) -> Figure:
         """Map of positive values at the size of the pictures."""
-        return self._map(raster, _Map(name, title, caption, "viridis", unit))
+        return self._map(name, title, caption, raster, "viridis", unit)
 
     def _map(
         self,
+        name: str,
+        title: str,
+        caption: str,
         raster: Raster,
-        how: _Map,
+        cmap: str | Colormap,
+        unit: str = "",
+        *,
+        limits: tuple[float, float] | None = None,
+        ticks: Mapping[float, str] | None = None,
         shade: Raster | None = None,
         labels: Sequence[tuple[float, float, str]] = (),
     ) -> Figure:
         finite = raster[np.isfinite(raster)].astype(float)
-        limits = how.limits
         if limits is None:
             limits = tuple(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
         shape = raster.shape
-        drawing, axes = _over_bar(shape, _BAR_IN if how.label or how.ticks else 0.0)
-        picture = axes.imshow(raster, cmap=how.cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
+        drawing, axes = _over_bar(shape, _BAR_IN if unit or ticks else 0.0)
+        picture = axes.imshow(raster, cmap=cmap, vmin=limits[0], vmax=limits[1], interpolation="antialiased")
         if shade is not None:
             # Black of varying opacity over the colors shows detail that is far too small for differences in color.
             axes.imshow(
@@ -405,23 +400,22 @@ class Plates:
         for u, v, word in labels:
             text = axes.text(u, v, word, color="white", fontsize=LETTERS_PT, ha="center", va="center")
             text.set_path_effects(_outline("black"))
-        ticks = how.ticks
-        if ticks and not isinstance(how.cmap, str):
-            ticks = _with_shares(ticks, finite, np.linspace(*limits, how.cmap.N + 1))
-        if how.label or ticks:
-            color_bar(drawing, picture, how.label, ticks)
-        summary: list[Any] = [how.title, how.label, finite.size, finite.mean() if finite.size else None]
+        if ticks and not isinstance(cmap, str):
+            ticks = _with_shares(ticks, finite, np.linspace(*limits, cmap.N + 1))
+        if unit or ticks:
+            color_bar(drawing, picture, unit, ticks)
+        summary: list[Any] = [title, unit, finite.size, finite.mean() if finite.size else None]
         summary += (
             [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
         )
         return self.figure(
-            how.name,
-            how.title,
-            how.caption,
+            name,
+            title,
+            caption,
             drawing,
             ["map", "unit", "pixels", "mean", *(f"p{p:02d}" for p in _PERCENTILES)],
             [summary],
-            how.caption + _spread(finite, how.label),
+            caption + _spread(finite, unit),
         )
 
     def _scale_bar(self, axes: Any, width_px: int) -> None:
@@ -449,14 +443,12 @@ class Plates:
             called = self.words[surface]
             label = f"{called.capitalize()} ({'coarse' if surface == 'prior' else self.quality['method']})"
             yield self._map(
+                f"hillshade_{called}{view}",
+                f"{label}, light from the {side}",
+                about + side + ".",
                 self.shade(surface, azimuth),
-                _Map(
-                    f"hillshade_{called}{view}",
-                    f"{label}, light from the {side}",
-                    about + side + ".",
-                    "gray",
-                    limits=(0, 1),
-                ),
+                "gray",
+                limits=(0, 1),
             )
 
     def elevations(self) -> Iterator[Figure]:
@@ -465,78 +457,56 @@ class Plates:
         low, high = (float(p) for p in np.percentile(finite, [0.5, 99.5]))
         for surface in ("prior", "fused"):
             yield self._map(
+                f"elevation_{self.words[surface]}",
+                f"Elevation, {self.words[surface]}",
+                "Along the optical axis, above the plane that fits the depth map; positive towards the camera. "
+                "Relief shading over the colors.",
                 self.relief[surface],
-                _Map(
-                    f"elevation_{self.words[surface]}",
-                    f"Elevation, {self.words[surface]}",
-                    "Along the optical axis, above the plane that fits the depth map; positive towards the camera. "
-                    "Relief shading over the colors.",
-                    "viridis",
-                    self.unit,
-                    (low, high),
-                ),
-                self.shade(surface),
+                "viridis",
+                self.unit,
+                limits=(low, high),
+                shade=self.shade(surface),
             )
 
     def polarization(self) -> Iterator[Figure]:
         """Intensity, degree, phase, zenith, residual and labels (Fig. 5)."""
         folder = "polarization/"
         yield self._map(
-            self.raster(folder + "unpolarized.tif"),
-            _Map("intensity", "Unpolarized intensity", "Mean over a turn of the polarizer.", "gray", "of white"),
-        )
+            "intensity", "Unpolarized intensity", "Mean over a turn of the polarizer.",
+            self.raster(folder + "unpolarized.tif"), "gray", "of white",
+        )  # fmt: skip
         yield self._map(
-            self.raster(folder + "degree.tif"),
-            _Map(
-                "degree",
-                "Degree of linear polarization",
-                "Amplitude of the fitted sinusoid over its mean.",
-                "viridis",
-                "ρ",
-            ),
-        )
+            "degree", "Degree of linear polarization", "Amplitude of the fitted sinusoid over its mean.",
+            self.raster(folder + "degree.tif"), "viridis", "ρ",
+        )  # fmt: skip
         yield self._map(
-            np.degrees(self.thinned(folder + "phase.tif")),
-            _Map(
-                "phase", "Phase", "Polarizer angle of the brightest image, counter-clockwise from image +x.",
-                "twilight", "°", (0, 180), {float(angle): str(angle) for angle in range(0, 181, 45)},
-            ),
+            "phase", "Phase", "Polarizer angle of the brightest image, counter-clockwise from image +x.",
+            np.degrees(self.thinned(folder + "phase.tif")), "twilight", "°", limits=(0, 180),
+            ticks={float(angle): str(angle) for angle in range(0, 181, 45)},
         )  # fmt: skip
         if self.workspace.has(folder + "zenith.tif"):
             yield self._map(
-                np.degrees(self.raster(folder + "zenith.tif")),
-                _Map(
-                    "zenith",
-                    "Zenith from the degree",
-                    "Angle of normal and viewing ray, from the degree by Fresnel's equations.",
-                    "magma",
-                    "°",
-                ),
-            )
+                "zenith", "Zenith from the degree", "Angle of normal and viewing ray, from the degree by Fresnel's equations.",
+                np.degrees(self.raster(folder + "zenith.tif")), "magma", "°",
+            )  # fmt: skip
         if self.workspace.has(folder + "clamped.png"):
             labeled = self.thinned(folder + "label.png") > 0
             yield self._map(
+                "clamped", "Zenith clamped",
+                "Where the degree is beyond what its reflection can give, so that the zenith is the largest. White: no zenith.",
                 np.where(labeled, self.thinned(folder + "clamped.png") / np.float32(255), np.float32(np.nan)),
-                _Map(
-                    "clamped", "Zenith clamped",
-                    "Where the degree is beyond what its reflection can give, so that the zenith is the largest. White: no zenith.",
-                    _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "measured", 0.75: "clamped"},
-                ),
+                _two_colors("#d9dde2", "#d1495b"), limits=(0, 1), ticks={0.25: "measured", 0.75: "clamped"},
             )  # fmt: skip
         yield self._map(
-            self.raster(folder + "residual.tif"),
-            _Map(
-                "residual", "Residual of the fit", "In expected standard deviations: 1 is noise alone.",
-                "inferno", "σ", (0, 3), {0.0: "0", 1.0: "1", 2.0: "2", 3.0: "≥ 3"},
-            ),
+            "residual", "Residual of the fit", "In expected standard deviations: 1 is noise alone.",
+            self.raster(folder + "residual.tif"), "inferno", "σ", limits=(0, 3),
+            ticks={0.0: "0", 1.0: "1", 2.0: "2", 3.0: "≥ 3"},
         )  # fmt: skip
         labels = self.thinned("fused/label.png" if self.workspace.has("fused/label.png") else folder + "label.png")
         yield self._map(
-            np.where(labels > 0, labels, np.nan).astype(np.float32),
-            _Map(
-                "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel. White: not known.",
-                _two_colors("#3a7ca5", "#e0a13b"), limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
-            ),
+            "reflection", "Kind of reflection", "Which reflection dominates the polarization of a pixel. White: not known.",
+            np.where(labels > 0, labels, np.nan).astype(np.float32), _two_colors("#3a7ca5", "#e0a13b"),
+            limits=(0.5, 2.5), ticks={1.0: "diffuse", 2.0: "specular"},
         )  # fmt: skip
 
     def height(self) -> Iterator[Figure]:
@@ -546,20 +516,18 @@ class Plates:
         raster = self.raster("height/height.tif")
         if not np.isfinite(raster).any():  # No light was found, or it comes from where the camera is.
             return
+        shade = hillshade(flattened(-raster), float(self.step))
         yield self._map(
+            "polarization_height",
+            "Height from polarization alone",
+            "In pixels, before any fusion. Relief shading over the colors.",
             raster,
-            _Map(
-                "polarization_height",
-                "Height from polarization alone",
-                "In pixels, before any fusion. Relief shading over the colors.",
-                "viridis",
-                "GSD",
-            ),
-            hillshade(flattened(-raster), float(self.step)),
+            "viridis",
+            "GSD",
+            shade=shade,
         )
         yield self._map(
-            hillshade(flattened(-raster), float(self.step)),
-            _Map("polarization_relief", "Its relief shading", "Light from the upper left.", "gray", limits=(0, 1)),
+            "polarization_relief", "Its relief shading", "Light from the upper left.", shade, "gray", limits=(0, 1)
         )
 
     def trust_picture(self) -> NDArray[np.uint8]:
@@ -577,41 +545,27 @@ class Plates:
     def uncertainty(self) -> Iterator[Figure]:
         """Maps of the standard deviation of the fused depth, of the change by fusion, of trust and of the weight of polarization."""
         yield self._map(
-            self.raster("fused/sigma.tif"),
-            _Map(
-                "sigma", "Standard deviation of the fused depth", "One σ, along the optical axis.", "viridis", self.unit
-            ),
-        )
+            "sigma", "Standard deviation of the fused depth", "One σ, along the optical axis.",
+            self.raster("fused/sigma.tif"), "viridis", self.unit,
+        )  # fmt: skip
         difference = self.raster("fused/depth.tif") - self.raster("prior/depth.tif")
         spread = float(np.nanpercentile(np.abs(difference), 98)) or 1.0
         yield self._map(
-            difference,
-            _Map(
-                "fused_minus_prior", "Fused minus prior depth",
-                "Negative (blue): the fused surface lies in front of the prior; positive (red): behind it.",
-                # Depth grows away from the camera; blue is in front in this map as in all others.
-                "RdBu_r", self.unit, (-spread, spread),
-            ),
+            "fused_minus_prior", "Fused minus prior depth",
+            "Negative (blue): the fused surface lies in front of the prior; positive (red): behind it.",
+            # Depth grows away from the camera; blue is in front in this map as in all others.
+            difference, "RdBu_r", self.unit, limits=(-spread, spread),
         )  # fmt: skip
-        if self.workspace.has("fused/trust.png"):
-            known = np.isfinite(self.relief["fused"])
-            yield self._map(
-                np.where(known, self.raster("fused/trust.png") / np.float32(255), np.float32(np.nan)),
-                _Map(
-                    "trust", "Share of the refined surface",
-                    "Refined where the reflection model explains the polarization and what it changes stands out of the noise.",
-                    "cividis", "", (0, 1), {0.0: "prior", 0.5: "half", 1.0: "refined"},
-                ),
-            )  # fmt: skip
-        if self.workspace.has("fused/confidence.png"):
-            known = np.isfinite(self.relief["fused"])
-            yield self._map(
-                np.where(known, self.raster("fused/confidence.png") / np.float32(255), np.float32(np.nan)),
-                _Map(
-                    "confidence", "Weight of polarization", "Which pixels' polarization the refinement believed.",
-                    "cividis", "", (0, 1), {0.0: "none", 0.5: "half", 1.0: "full"},
-                ),
-            )  # fmt: skip
+        for name, title, caption, none, full in (
+            ("trust", "Share of the refined surface",
+             "Refined where the reflection model explains the polarization and what it changes stands out of the noise.", "prior", "refined"),
+            ("confidence", "Weight of polarization", "Which pixels' polarization the refinement believed.", "none", "full"),
+        ):  # fmt: skip
+            if self.workspace.has(f"fused/{name}.png"):
+                known = np.isfinite(self.relief["fused"])
+                share = np.where(known, self.raster(f"fused/{name}.png") / np.float32(255), np.float32(np.nan))
+                ticks = {0.0: none, 0.5: "half", 1.0: full}
+                yield self._map(name, title, caption, share, "cividis", limits=(0, 1), ticks=ticks)
 
     def reference(self) -> Iterator[Figure]:
         """Signed distances to the reference, and their histogram."""

@@ -34,7 +34,7 @@ def light(
     return _core.estimate_light(
         image,
         as_image(normals, "normals", 3),
-        None if mask is None else as_mask(mask, image.shape),
+        as_mask(mask, image.shape),
         camera,
         (options or Options()).to_json(),
         threads,

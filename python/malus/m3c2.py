@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._extra import extra
 from malus._files import write_text
-from malus._robust import robust_spread
+from malus._robust import distance_figures
 from malus.columns import number
 from malus.errors import DataError, InputError
 from malus.workspace import Workspace
@@ -31,7 +31,8 @@ NORMAL_FACTOR = 3.0
 _BINS = 50
 
 
-def _py4dgeo() -> ModuleType:
+def py4dgeo() -> ModuleType:
+    """The package; ExternalError if it is not installed."""
     library = extra("py4dgeo", "py4dgeo", "M3C2", "m3c2")
     # On import py4dgeo sets up logging to standard output and to py4dgeo.log in the current folder: remove both.
     logger = logging.getLogger("py4dgeo")
@@ -40,15 +41,6 @@ def _py4dgeo() -> ModuleType:
         handler.close()
     logger.setLevel(logging.WARNING)
     return library
-
-
-def require_library() -> None:
-    """Raise ExternalError if py4dgeo is not installed."""
-    _py4dgeo()
-
-
-def _spacing(points: NDArray[np.float64], area: float) -> float:
-    return float(np.sqrt(area / max(len(points), 1)))
 
 
 def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
@@ -78,7 +70,7 @@ def distances(
     are oriented `towards` a direction; distances in it are positive. registration: one standard deviation of the registration of
     the clouds to each other. NaN = not compared.
     """
-    library = _py4dgeo()
+    library = py4dgeo()
     library.set_memory_policy(library.MemoryPolicy.COREPOINTS)
     # Parts of the library compute in single precision: pass coordinates relative to the middle.
     middle = core.mean(0)
@@ -106,15 +98,17 @@ def thinning(pixels: int) -> int:
     return int(max(1, np.ceil(np.sqrt(pixels / CORE_POINTS))))
 
 
-def spread_out(core: NDArray[np.float64], step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """A map of all pixels (of this shape) from a map of core points, which are every step-th pixel: each pixel has the value of the
-    nearest one, so that the map is not shifted.
+def spread_out(values: NDArray[np.float64], step: int, known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """A map of the known pixels from the values of the core points, which are those of every step-th row and column: each pixel has
+    the value of the nearest one, so that the map is not shifted. NaN at all other pixels.
     """
+    core = np.full(known[::step, ::step].shape, np.nan, np.float32)
+    core[known[::step, ::step]] = values
     rows, columns = (
         np.minimum((np.arange(size) + (step - 1) // 2) // step, count - 1)
-        for size, count in zip(shape, core.shape, strict=True)
+        for size, count in zip(known.shape, core.shape, strict=True)
     )
-    return np.asarray(core.astype(np.float32)[np.ix_(rows, columns)])
+    return np.where(known, core[np.ix_(rows, columns)], np.float32(np.nan))
 
 
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
@@ -126,18 +120,9 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
     counts, edges = np.histogram(values, _BINS, (-spread, spread))
     limit = detectable[limited] / gsd
     significant = np.abs(found[limited]) > detectable[limited]
-    median = float(np.median(values))
     return {
         "compared_fraction": float(known.mean()),
-        "distance_gsd": {
-            "count": int(known.sum()),
-            "mean": float(values.mean()),
-            "rmse": float(np.sqrt(np.mean(values**2))),
-            "mad": robust_spread(values - median),
-            "p05": float(np.percentile(values, 5)),
-            "median": median,
-            "p95": float(np.percentile(values, 95)),
-        },
+        "distance_gsd": {"count": int(known.sum()), **distance_figures(values)},
         "detection_limit_median_gsd": float(np.median(limit)) if limit.size else None,
         "significant_fraction": float(significant.mean()) if limit.size else None,
         "histogram_gsd": {
@@ -159,7 +144,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
 
     Raises malus.InputError, DataError if no part of the reference is near the surface, ExternalError without py4dgeo.
     """
-    _py4dgeo()  # fail before anything is read if the package is missing
+    py4dgeo()  # fail before anything is read if the package is missing
     if radius is not None and not radius > 0:
         raise InputError(f"radius {radius}, expected a positive length")
     workspace = Workspace(work)
@@ -177,7 +162,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
             f"{reference}: {len(near)} points lie near the surface, expected more; is it in the same frame and unit?"
         )
     # The area common to both clouds is about the area of the surface's pixels.
-    sparser = max(gsd, _spacing(near, len(surface) * gsd**2))
+    sparser = max(gsd, float(np.sqrt(len(surface) * gsd**2 / len(near))))
     chosen = radius or cylinder_radius(sparser)
     found, detectable = distances(
         near,
@@ -192,9 +177,6 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         raise DataError(
             f"{reference}: no point of the surface has {number(chosen, 4)} around it in the reference, expected a larger radius"
         )
-    small = np.full(core.shape, np.nan)
-    small[core] = found
-    full = spread_out(small, step, known.shape)
     figures = {
         "reference": str(reference),
         "reference_points": len(near),
@@ -205,7 +187,6 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     }
     with workspace.recording("m3c2") as files:
         files += ["fused/m3c2_distance.tif", "m3c2.json"]
-        distance = np.where(known, full, np.nan).astype(np.float32)
-        _core.write_float_tiff(str(workspace.folder / files[0]), distance)
+        _core.write_float_tiff(str(workspace.folder / files[0]), spread_out(found, step, known))
         write_text(workspace.folder / files[1], json.dumps(figures, indent=2) + "\n")
     return figures

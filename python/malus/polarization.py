@@ -55,7 +55,7 @@ def calibrate(
     return _core.fit_polarizer(
         stack,
         [float(a) for a in angles_rad],
-        None if mask is None else as_mask(mask, stack[0].shape),
+        as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
         frames_averaged,
@@ -91,7 +91,7 @@ def decompose(
     return fit(
         stack,
         as_angles(angles_rad, "angles_rad"),
-        None if mask is None else as_mask(mask, stack[0].shape),
+        as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
         frames_averaged,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_mask
+from malus._arrays import as_image, as_mask, as_rows
 from malus._core import DepthPrior
 from malus.camera import Camera
 from malus.options import Options
@@ -30,19 +30,12 @@ def project_points(
     mask: H×W, non-zero = object. Hidden points and outliers are removed; gaps are filled; the smoothing is chosen from the
     points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask).
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
-    directions = None
-    if normals is not None:
-        directions = np.ascontiguousarray(normals, dtype=np.float32)
-        if directions.shape != cloud.shape:
-            raise ValueError(f"normals has shape {directions.shape}, expected {cloud.shape} as the points")
+    cloud = as_rows(points, "points")
     return _core.project_points(
         cloud,
-        directions,
+        None if normals is None else as_rows(normals, "normals", len(cloud), np.float32),
         camera,
-        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
     )
@@ -58,18 +51,14 @@ def project_mesh(
     threads: int = ALL_CORES,
 ) -> DepthPrior:
     """As `project_points`, for a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
-    corners = np.ascontiguousarray(vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(triangles, dtype=np.int64)
-    for name, array in (("vertices", corners), ("triangles", faces)):
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"{name} has shape {array.shape}, expected (N, 3)")
+    corners, faces = as_rows(vertices, "vertices"), as_rows(triangles, "triangles", dtype=np.int64)
     if faces.size and not (faces.min() >= 0 and faces.max() < len(corners)):
         raise ValueError(f"triangles has indices from {faces.min()} to {faces.max()}, expected 0 to {len(corners) - 1}")
     return _core.project_mesh(
         corners,
         faces.astype(np.uint32),
         camera,
-        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
     )
@@ -90,7 +79,7 @@ def project_depth(
     return _core.project_depth(
         raster,
         camera,
-        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
     )

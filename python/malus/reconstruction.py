@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8
-from malus.camera import Camera
 from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
+from malus.photogrammetry.front_end import camera_of
 from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
@@ -77,23 +77,22 @@ def reconstruct(
         return _core.reconstruct(
             core,
             settings.to_json(),
-            None if workspace is None else str(workspace),
-            replace,
-            last,
-            None if reference is None else str(reference),
-            keep,
-            None,
             threads,
-            None if progress is None else report,
-            log,
+            workspace=None if workspace is None else str(workspace),
+            replace=replace,
+            until=last,
+            reference=None if reference is None else str(reference),
+            keep_maps=keep,
+            progress=None if progress is None else report,
+            log=log,
         )
 
     def save(folder: Path) -> None:
         """Write steps whose results are in memory, without repeating them."""
         with _folder(None, "raw") as again:
             _core.reconstruct(
-                _readable(station, core, again, lambda _, __: None), settings.to_json(), str(folder), True, None,
-                None if reference is None else str(reference), False, results, threads, None, None,
+                _readable(station, core, again, lambda _, __: None), settings.to_json(), threads, workspace=str(folder),
+                replace=True, reference=None if reference is None else str(reference), keep_maps=False, known=results,
             )  # fmt: skip
 
     for path in (workspace, reference):
@@ -143,7 +142,7 @@ def unpolarized_scene(
     _core.claim_workspace(str(workspace), station._core, True)
     core = _readable(station, station._core, workspace / "raw", lambda _, __: None)
     outcome = _core.reconstruct(
-        core, options.to_json(), str(workspace), True, "polarization", None, True, None, threads, None, None
+        core, options.to_json(), threads, workspace=str(workspace), replace=True, until="polarization"
     )
     return np.asarray(outcome["scene"], np.float32), np.asarray(outcome["valid"], np.uint8)
 
@@ -212,17 +211,15 @@ def _with_photos(
         """Fuse in memory: the workspace holds the steps of the fusion with the last sweep, which repeat the warnings of this one."""
         core = station.with_photogrammetry(lens.values(), first.rasters(), "{}", "{}", [])
         outcome = _core.reconstruct(
-            core, options.to_json(), None, False, "fuse", None, True, images["results"], threads,
-            lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"), None,
+            core, options.to_json(), threads, until="fuse", known=images["results"],
+            progress=lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"),
         )  # fmt: skip
         return photogrammetry.FusedOnce(outcome["depth"], outcome["prior_depth"], outcome["prior_sigma"])
 
     if "camera" in description:
         images = run(station, "polarization")
     else:  # Also in memory: the workspace gets the polarization step of the undistorted images, once the lens is known.
-        images = _core.reconstruct(
-            station, options.to_json(), None, False, "polarization", None, True, None, threads, report, None
-        )
+        images = _core.reconstruct(station, options.to_json(), threads, until="polarization", progress=report)
     with photogrammetry.exclusive(folder):
         cameras = known or photogrammetry.find_cameras(
             description,
@@ -237,10 +234,7 @@ def _with_photos(
             log_of("photos")("warning", warning)
         lens = cameras.station
         if "camera" in description:
-            given = description["camera"]
-            lens = Camera(
-                given["model"], given["width"], given["height"], given["params"], lens.rotation, lens.translation
-            )
+            lens = replace(camera_of(description["camera"]), rotation=lens.rotation, translation=lens.translation)
         else:
             # Now that the lens is known, the images can be undistorted.
             placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [])

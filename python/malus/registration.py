@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
+from malus._arrays import as_rows
 from malus._files import write_text
 from malus._robust import robust_spread
 from malus.errors import DataError
@@ -138,9 +139,7 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
 
 
 def _checked(values: ArrayLike, name: str) -> Points:
-    points = np.ascontiguousarray(values, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{name} has shape {points.shape}, expected (N, 3)")
+    points: Points = as_rows(values, name)
     points = points[np.isfinite(points).all(1)]
     if len(points) < 100:
         raise DataError(f"{name} has {len(points)} points, expected 100 or more to find its place")

@@ -7,7 +7,6 @@ import webbrowser
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import metadata
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from malus.paper.tables import table_1
 from malus.photo_words import WORDS
 from malus.report_head import accuracy_of, head_of
 from malus.trust import what_to_trust
-from malus.workspace import STEPS, Workspace, WorkspaceGiver
+from malus.workspace import STEPS, Workspace, WorkspaceGiver, folder_of
 
 #: The surfaces that the report compares, in the order of its tables.
 SURFACES = ("prior", "polarization", "fused")
@@ -73,9 +72,7 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     ]
     accuracy, note = accuracy_of(quality, quality["gsd"])
     lines.append(f"  accuracy: {accuracy} ({note})")
-    lines += [
-        *(f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)),
-    ]
+    lines += [f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
         shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
@@ -144,25 +141,15 @@ class _Quality:
 def _figures(plates: Plates) -> dict[str, list[Figure]]:
     quality = plates.quality
     profiles = [plates.profile_lines(), *plates.profiles()] if quality["profiles"] else []
-    of_paper = _plates_of_the_paper(plates)
     return {
         "relief": [*plates.shadings(), *plates.elevations()],
-        "polarization": [*plates.polarization(), *of_paper["polarization"]],
+        "polarization": [*plates.polarization(), *paper_plates.sinusoids(plates)],
         "height": list(plates.height()),
         "profiles": profiles,
-        "patches": [*of_paper["patches"], *plates.patches()],
-        "uncertainty": [*of_paper["uncertainty"], *plates.uncertainty()],
+        "patches": [*paper_plates.patch_boxes(plates), *plates.patches()],
+        "uncertainty": [*paper_plates.cloud(plates), *plates.uncertainty()],
         "reference": list(plates.reference()),
         "m3c2": list(plates.m3c2()),
-    }
-
-
-def _plates_of_the_paper(plates: Plates) -> dict[str, list[Figure]]:
-    """Fig. 1c, 9 and 14 of the paper, by the section of the report to which they belong."""
-    return {
-        "polarization": list(paper_plates.sinusoids(plates)),
-        "uncertainty": list(paper_plates.cloud(plates)),
-        "patches": list(paper_plates.patch_boxes(plates)),
     }
 
 
@@ -214,15 +201,11 @@ def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = 
     """Write the report of a workspace or a result; returns the page's path.
 
     In a workspace the page is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in
-    memory needs, the page alone is written there, too, without links to these files. Raises InputError if a file that the report shows was changed
-    after its step wrote it.
+    memory needs, the page alone is written there, too, without links to these files. Raises InputError if a file that the report shows
+    was changed after its step wrote it.
     """
-    if not isinstance(work, (str, PathLike)):
-        if output is None and work.workspace is None:
-            raise InputError(f"output is missing: {work.name} is in memory, expected the path of an HTML file")
-        with work.in_workspace() as folder:
-            return write_report(folder, output)
-    return _write(Workspace(work), None if output is None else Path(output))
+    with folder_of(work, output, "an HTML file") as folder:
+        return _write(Workspace(folder), None if output is None else Path(output))
 
 
 def _write(workspace: Workspace, alone: Path | None) -> Path:

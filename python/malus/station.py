@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask, require_shares
+from malus._arrays import as_image, as_images, as_mask, as_rows, require_shares
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import InputError
@@ -186,7 +186,7 @@ class Station:
             prior_points=points,
             prior_normals=normals,
             prior_depth=depth,
-            mask=None if mask is None else as_mask(mask, shape),
+            mask=as_mask(mask, shape),
         )
         if not has_white:
             require_shares(stack, "images", "their polarized.white_level")
@@ -264,15 +264,8 @@ def _oriented_points(
         if normals is not None:
             raise ValueError("prior_normals are given without prior_points")
         return None, None
-    checked = np.ascontiguousarray(points, dtype=np.float64)
-    if checked.ndim != 2 or checked.shape[1] != 3:
-        raise ValueError(f"prior_points has shape {checked.shape}, expected (N, 3)")
-    if normals is None:
-        return checked, None
-    directions = np.ascontiguousarray(normals, dtype=np.float32)
-    if directions.shape != checked.shape:
-        raise ValueError(f"prior_normals has shape {directions.shape}, expected {checked.shape} as prior_points")
-    return checked, directions
+    checked = as_rows(points, "prior_points")
+    return checked, None if normals is None else as_rows(normals, "prior_normals", len(checked), np.float32)
 
 
 def _plain(value: Any, where: str) -> Any:

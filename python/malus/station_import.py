@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core
-from malus._files import read_regular, require_utf8, resolved, write_text
+from malus._files import natural, read_regular, require_utf8, resolved, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
 from malus.raw import is_raw
@@ -167,10 +167,6 @@ def _numbers(values: Iterable[float]) -> str:
     return "[" + ", ".join(f"{float(value):.17g}" for value in values) + "]"
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
-
-
 def _visible(folder: Path) -> list[Path]:
     """What lies in the folder, without hidden files: macOS adds one, such as ._angles.csv, to every file on a disk of another system."""
     return [path for path in folder.iterdir() if not path.name.startswith(".")]
@@ -191,7 +187,7 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
     for path in images:
         require_utf8(path)
-    return sorted(images, key=_natural)
+    return sorted(images, key=lambda path: natural(path.name))
 
 
 def shots_of(
@@ -340,7 +336,8 @@ def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
 def _shots_of_sidecars(folder: Path) -> list[Shot]:
     """The images that JSON files in the folder describe; empty without such files."""
     shots = []
-    for path in sorted((path for path in _visible(folder) if path.suffix == ".json"), key=_natural):
+    sidecars = (path for path in _visible(folder) if path.suffix == ".json")
+    for path in sorted(sidecars, key=lambda path: natural(path.name)):
         try:
             content = json.loads(read_regular(path))
         except (OSError, ValueError, RecursionError) as error:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_mask
+from malus._arrays import as_image, as_mask, as_rows
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -98,16 +98,13 @@ def sweep(
     Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,
     semi-global matching (Hirschmüller 2008); sigma from disjoint halves of the photos.
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError(f"points has shape {cloud.shape}, expected (N, 3)")
     found = _core.sweep_surface(
         _as_view_image(intensity, camera, "intensity"),
         camera.values(),
         [(_as_photo(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
-        cloud,
+        as_rows(points, "points"),
         None if surface is None else (as_image(surface[0], "surface"), as_image(surface[1], "surface's sigma")),
-        None if mask is None else as_mask(mask, (camera.height, camera.width)),
+        as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
         progress,

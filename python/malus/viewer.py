@@ -1,7 +1,7 @@
 """Data of the report's interactive views, packed small enough for one page: normal maps, colors, a mesh.
 
-Numbers are stored as base64 of Deflate. A plane of 16-bit whole numbers is stored as differences to the previous value, all low bytes
-first and then all high bytes: smooth data shrink to about one byte per value. assets/unpack.js unpacks them.
+Numbers are stored as base64 of Deflate. Whole numbers of 16 or 32 bits are stored as differences to the previous value, all lowest bytes
+first, then all next ones: smooth data shrink to about one byte per value. assets/unpack.js unpacks them.
 """
 
 from __future__ import annotations
@@ -37,19 +37,10 @@ def base64_text(content: bytes) -> str:
     return base64.b64encode(content).decode()
 
 
-def pack(values: NDArray[Any]) -> str:
-    """Whole numbers that fit into 16 bits (signed or unsigned), as differences modulo 2^16, in base64 of Deflate."""
-    flat = values.ravel().astype(np.int64)
-    steps = (np.diff(flat, prepend=0) & 0xFFFF).astype(np.uint16)
-    planes = np.concatenate([(steps & 0xFF).astype(np.uint8), (steps >> 8).astype(np.uint8)])
-    return base64_text(zlib.compress(planes.tobytes(), 6))
-
-
-def pack_indices(triangles: NDArray[np.uint32]) -> str:
-    """Vertex indices of triangles as differences of 32 bits, in four planes of bytes, in base64 of Deflate."""
-    flat = triangles.ravel().astype(np.int64)
-    steps = (np.diff(flat, prepend=0) & 0xFFFFFFFF).astype(np.uint32)
-    planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in (0, 8, 16, 24)])
+def pack(values: NDArray[Any], bits: int = 16) -> str:
+    """Whole numbers that fit into so many bits (signed or unsigned), as differences modulo 2^bits, in base64 of Deflate."""
+    steps = np.diff(values.ravel().astype(np.int64), prepend=0)
+    planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in range(0, bits, 8)])
     return base64_text(zlib.compress(planes.tobytes(), 6))
 
 
@@ -167,7 +158,7 @@ def mesh_view(workspace: Workspace) -> dict[str, Any]:
         "triangles": len(mesh.triangles),
         "positions": pack(whole.T),
         "uv": pack(np.rint(np.clip(uv, 0, 1) * 65535).astype(np.uint16)),
-        "indices": pack_indices(mesh.triangles),
+        "indices": pack(mesh.triangles, 32),
         "size": size,
         "unit": str(workspace.quality["unit"]),
         "meters": METERS[workspace.quality["unit"]],

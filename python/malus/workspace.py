@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from time import monotonic
 from typing import Any, Protocol
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._core import FusedSurface
+from malus._files import sha256_of
 from malus.camera import Camera
 from malus.errors import InputError
 from malus.options import Options
@@ -37,6 +39,20 @@ class WorkspaceGiver(Protocol):
 
     def in_workspace(self) -> AbstractContextManager[Path]:
         """The workspace folder; for a result in memory, a temporary one that exists until the context ends."""
+
+
+@contextmanager
+def folder_of(work: str | Path | WorkspaceGiver, output: str | Path | None, what_output: str) -> Iterator[Path]:
+    """The workspace folder of a result. Without an `output` (`what_output`: what it names, for the message), InputError for a result in
+    memory: its folder is temporary, and with it all that is written there.
+    """
+    if isinstance(work, str | PathLike):
+        yield Path(work)
+        return
+    if output is None and work.workspace is None:
+        raise InputError(f"output is missing: {work.name} is in memory, expected the path of {what_output}")
+    with work.in_workspace() as folder:
+        yield folder
 
 
 class Workspace:
@@ -92,7 +108,7 @@ class Workspace:
         if not self.has(name):
             raise InputError(f"{path}: no step that is done has made it; run `malus run` first")
         if name not in self._checked:
-            if _core.sha256_of_file(str(path)) != self.outputs[name]["sha256"]:
+            if sha256_of(path) != self.outputs[name]["sha256"]:
                 raise InputError(f"{path}: is not as its step left it; run `malus run` again")
             self._checked.add(name)
         return path

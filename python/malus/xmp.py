@@ -74,11 +74,9 @@ def save_png(path: Path, picture: NDArray[np.uint8], xmp: str, *, dpi: float | N
     """Write sRGB colors (H×W×3, or ×4 with alpha) as PNG with color profile and XMP; dpi: pixels per inch on the object."""
     told = PngInfo()
     told.add_itxt("XML:com.adobe.xmp", xmp)
-    image = Image.fromarray(picture)
-    if dpi is not None:
-        image.info["dpi"] = (dpi, dpi)
+    resolution = None if dpi is None else (dpi, dpi)
     with replacing(path) as temporary:
-        image.save(temporary, pnginfo=told, icc_profile=srgb_profile(), dpi=image.info.get("dpi"))
+        Image.fromarray(picture).save(temporary, pnginfo=told, icc_profile=srgb_profile(), dpi=resolution)
 
 
 def tag_png(path: Path, xmp: str) -> None:

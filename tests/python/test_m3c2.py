@@ -78,7 +78,7 @@ def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
     """Maps and changed parts of large stations lay up to half a block right of and below their place (4.5 pixels of 18 megapixels)."""
     row, column = np.indices((47, 61))
     for place in (row, column):
-        spread = m3c2.spread_out(place[::step, ::step].astype(float), step, place.shape)
+        spread = m3c2.spread_out(place[::step, ::step].ravel().astype(float), step, np.ones(place.shape, bool))
         assert spread.shape == place.shape and spread.dtype == np.float32
         off = (spread - place)[:-step, :-step]
         assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 1

@@ -6,12 +6,12 @@ import base64
 import csv
 import io
 import json
-import os
 import re
 import shutil
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
-from view_scale import drawn_mm, pixel_mm, turning_view
+from view_scale import drawn_mm, page_in_browser, pixel_mm, turning_view
 
 
 class Page(HTMLParser):
@@ -487,10 +487,22 @@ def edited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(malus.Workspace, "has", lambda self, name: (self.folder / name).is_file())
 
 
-@pytest.mark.usefixtures("edited")
-def test_color_images_are_shown_in_color(finished_grid: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    shutil.copytree(finished_grid, work)
+@pytest.fixture
+def copied(edited: None, finished_grid: Path, tmp_path: Path) -> tuple[Path, dict[str, Any]]:
+    """A workspace that may be changed, and its figures."""
+    work = shutil.copytree(finished_grid, tmp_path / "work")
+    return work, json.loads((work / "quality.json").read_text())
+
+
+def reported(work: Path, quality: dict[str, Any]) -> str:
+    """The page of a workspace with these figures."""
+    (work / "quality.json").write_text(json.dumps(quality))
+    malus.write_report(work)
+    return (work / "report/index.html").read_text()
+
+
+def test_color_images_are_shown_in_color(copied: tuple[Path, dict[str, Any]]) -> None:
+    work, _ = copied
     intensity = tifffile.imread(work / "polarization/unpolarized.tif")
     tifffile.imwrite(
         work / "polarization/color.tif", np.stack([intensity, 0.6 * intensity, 0.3 * intensity], -1), photometric="rgb"
@@ -504,11 +516,8 @@ def test_color_images_are_shown_in_color(finished_grid: Path, tmp_path: Path) ->
         assert red > 1.15 * green > 1.3 * blue
 
 
-@pytest.mark.usefixtures("edited")
-def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    shutil.copytree(finished_grid, work)
-    quality = json.loads((work / "quality.json").read_text())
+def test_scale_and_photos_are_shown_when_they_are_known(copied: tuple[Path, dict[str, Any]]) -> None:
+    work, quality = copied
     bar = {
         "name": "bar <1>",
         "check": True,
@@ -530,9 +539,7 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
         },
     }  # fmt: skip
     quality["photogrammetry"] = {"program": "COLMAP 3.8", "registered": 12, "station": {"matches": 345}}
-    (work / "quality.json").write_text(json.dumps(quality))
-    malus.write_report(work)
-    text = (work / "report/index.html").read_text()
+    text = reported(work, quality)
     shown = {path: text for path, _, text in Page(text).numbers}
     assert shown["scale.distances.0.residual"] == "0.0031" and shown["scale.distances.0.adjusted"] == "31.5071"
     assert shown["photogrammetry.station.matches"] == "345" and shown["photogrammetry.program"] == "COLMAP 3.8"
@@ -544,26 +551,18 @@ def test_scale_and_photos_are_shown_when_they_are_known(finished_grid: Path, tmp
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 
-@pytest.mark.usefixtures("edited")
-def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(finished_grid: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    shutil.copytree(finished_grid, work)
-    quality = json.loads((work / "quality.json").read_text())
+def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(copied: tuple[Path, dict[str, Any]]) -> None:
+    work, quality = copied
     quality["polarizer"] |= {"zero_error_deg": None, "zero_error_sigma_deg": None, "surface_check": "nothing to see"}
-    (work / "quality.json").write_text(json.dumps(quality))
-    malus.write_report(work)
-    text = (work / "report/index.html").read_text()
+    text = reported(work, quality)
     assert "is right could not be checked: nothing to see." in text and "–°" not in text
 
 
-@pytest.mark.usefixtures("edited")
-def test_without_height_from_polarization_the_reason_is_stated(finished_grid: Path, tmp_path: Path) -> None:
+def test_without_height_from_polarization_the_reason_is_stated(copied: tuple[Path, dict[str, Any]]) -> None:
     """With a light beside the lens, an empty map was shown as a height that was still changing."""
-    work = tmp_path / "work"
-    shutil.copytree(finished_grid, work)
+    work, quality = copied
     height = tifffile.imread(work / "height/height.tif")
     tifffile.imwrite(work / "height/height.tif", np.full_like(height, np.nan))
-    quality = json.loads((work / "quality.json").read_text())
     quality["polarization_height"] |= {"status": "light along the view direction", "light_to_view_deg": 0.8}
     for profile in quality["profiles"]:
         profile["polarization"] = [None] * len(profile["polarization"])
@@ -573,9 +572,7 @@ def test_without_height_from_polarization_the_reason_is_stated(finished_grid: Pa
         "metal": {"refractive_index": [0.63, 3.19], "intensity_error": 0.1}, "lobe": None, "iterations": [],
         "surroundings": {"roughness": 0.1, "other_roughness": 0, "other_finish_share": 0},
     }  # fmt: skip
-    (work / "quality.json").write_text(json.dumps(quality))
-    malus.write_report(work)
-    text = (work / "report/index.html").read_text()
+    text = reported(work, quality)
     section = text.split('<section id="height">')[1].split("</section>")[0]
     assert "There is none: light along the view direction." in section and "still changing" not in section
     assert "0.8</data>° from the view direction" in section and "<figure" not in section
@@ -584,18 +581,13 @@ def test_without_height_from_polarization_the_reason_is_stated(finished_grid: Pa
     assert re.sub("<.*?>", "", index) == "about 0.63 + 3.19 i, a metal's"
 
 
-@pytest.mark.usefixtures("edited")
-def test_a_refractive_index_that_nothing_gives_is_not_called_given(finished_grid: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    shutil.copytree(finished_grid, work)
-    quality = json.loads((work / "quality.json").read_text())
+def test_a_refractive_index_that_nothing_gives_is_not_called_given(copied: tuple[Path, dict[str, Any]]) -> None:
+    work, quality = copied
     quality["refinement"] = {
         "refractive_index": {"value": 1.5, "sigma": None, "stated": None}, "trusted_share": 0.95, "specular_share": 0,
         "metal": None, "lobe": {"strength": 0}, "iterations": [], "surroundings": None,
     }  # fmt: skip
-    (work / "quality.json").write_text(json.dumps(quality))
-    malus.write_report(work)
-    index = (work / "report/index.html").read_text().split(">refractive index</abbr>")[1].split("</tr>")[0]
+    index = reported(work, quality).split(">refractive index</abbr>")[1].split("</tr>")[0]
     assert re.sub("<.*?>", "", index) == "1.5, assumed"
 
 
@@ -673,19 +665,12 @@ def test_text_contrasts_with_every_background() -> None:
 
 def test_scale_bars_fit_the_scale_of_their_pictures(work: Path) -> None:
     """On a low screen, on paper, and where the trust map stands beside many reasons."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("chromium is not installed")
     measured = """() => [...document.querySelectorAll('.bar')].map((bar) => {
       const image = bar.parentElement.querySelector('img'), frame = image.getBoundingClientRect(), own = bar.getBoundingClientRect();
       const shown = Math.min(frame.width, frame.height * image.naturalWidth / image.naturalHeight);
       return [own.width / shown, parseFloat(bar.style.width) / 100, own.left >= frame.left && own.bottom <= frame.bottom + 1];
     })"""
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 450})
-        page.goto((work / "report/index.html").resolve().as_uri())
+    with page_in_browser(work / "report/index.html", 1280, 450) as page:
         page.evaluate(
             "() => { const verdict = document.querySelector('.verdict');"
             " verdict.append(document.querySelector('.photograph .scaled').cloneNode(true));"
@@ -697,7 +682,6 @@ def test_scale_bars_fit_the_scale_of_their_pictures(work: Path) -> None:
             assert len(bars) == 3
             for share, said, within in bars:
                 assert share == pytest.approx(said, rel=0.02) and within, (medium, bars)
-        browser.close()
 
 
 def test_the_scale_of_the_turning_view_follows_zoom(work: Path) -> None:

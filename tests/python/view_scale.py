@@ -1,4 +1,4 @@
-"""The scale of a view that can be turned, read from its scale bar (label over length), and sizes measured by that scale."""
+"""Pages in Chromium; the scale of a view that can be turned, read from its scale bar (label over length), and sizes measured by that scale."""
 
 from __future__ import annotations
 
@@ -27,23 +27,28 @@ _DRAWN = """(canvas) => {
 
 
 @contextmanager
-def turning_view(path: Path, name: str) -> Iterator[Any]:
-    """The view `name` of the page at a phone's width, once it has been drawn."""
+def page_in_browser(path: Path, width: int, height: int, *arguments: str) -> Iterator[Any]:
+    """The page in a window of this size."""
     playwright = pytest.importorskip("playwright.sync_api")
     chromium = os.environ.get("MALUS_CHROMIUM") or shutil.which("chromium")
     if chromium is None:
         pytest.skip("chromium is not installed")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=chromium,
-            args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-        )
-        page = browser.new_page(viewport={"width": 390, "height": 844})
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", *arguments])
+        page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(120_000)
         page.goto(path.resolve().as_uri())
+        yield page
+        browser.close()
+
+
+@contextmanager
+def turning_view(path: Path, name: str) -> Iterator[Any]:
+    """The view `name` of the page at a phone's width, once it has been drawn."""
+    drawing = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+    with page_in_browser(path, 390, 844, *drawing) as page:
         page.locator(f"#{name}.ready .scale:not(:empty)").wait_for()
         yield page.locator(f"#{name}")
-        browser.close()
 
 
 def pixel_mm(view: Any) -> float:

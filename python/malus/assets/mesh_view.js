@@ -1,14 +1,8 @@
 // The mesh viewer: turns, moves and zooms the surface, with the same colors as the relighting view.
 (async () => {
   const root = document.getElementById('mesh');
-  if (!root) return;
-  const canvas = root.querySelector('canvas'), control = name => root.querySelector(`[name=${name}]`);
-  const probe = document.createElement('canvas').getContext('webgl2');
-  if (!probe || typeof DecompressionStream === 'undefined') {
-    root.classList.add('unavailable');
-    return;
-  }
-  probe.getExtension('WEBGL_lose_context')?.loseContext();
+  if (!root || !canShowMesh(root)) return;
+  const control = name => root.querySelector(`[name=${name}]`);
 
   const data = unpack.block('mesh-data'), count = data.vertices;
   const planes = await unpack.words(data.positions, Uint16Array), uv = await unpack.words(data.uv, Uint16Array);
@@ -21,7 +15,7 @@
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute('position', new THREE.BufferAttribute(positions, 3));
   geometry.setAttribute('uv', new THREE.BufferAttribute(coordinates, 2));
-  geometry.setIndex(new THREE.BufferAttribute(await unpack.indices(data.indices), 1));
+  geometry.setIndex(new THREE.BufferAttribute(await unpack.words(data.indices, Uint32Array), 1));
   geometry.computeVertexNormals();
 
   const relight = unpack.block('relight-data');
@@ -48,94 +42,39 @@
     map: texture, normalMap: await normalMap(), normalMapType: THREE.ObjectSpaceNormalMap, roughness: 0.85, metalness: 0,
     side: THREE.DoubleSide
   });
-  const scene = new THREE.Scene();
   const surface = new THREE.Mesh(geometry, material);
+  const {scene, camera, lamp, controls, radius, axis, draw, redraw, lookFrom} = meshStage(root, {
+    extent: data.extent, meters: data.meters, light, turn, home: () => {
+      root.querySelector('form').reset();
+      home();
+      apply();
+    },
+    // The surface fills the view as the station sees it, with room for its depth when it is turned.
+    halfHeight: (w, h) => 0.56 * Math.max(data.extent[1], data.extent[0] * h / w) + 0.2 * data.extent[2]
+  });
   scene.add(surface);
-
-  const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true, preserveDrawingBuffer: true});
-  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
-  const radius = Math.hypot(...data.extent) / 2;
-  // Orthographic projection: the scale bar is valid at every depth.
-  const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -100 * radius, 100 * radius);
-  const lamp = new THREE.DirectionalLight(0xffffff, 2.6);
-  scene.add(new THREE.AmbientLight(0xffffff, 0.7), lamp, lamp.target);
-
-  const controls = new THREE.OrbitControls(camera, canvas);
-  controls.enableDamping = false;
   controls.zoomToCursor = true;
-  [controls.minZoom, controls.maxZoom] = [0.2, 100];
 
   function home() {
     const eye = new THREE.Vector3(...data.eye).normalize();
     // Seen slightly from the side, so that the relief is visible.
     eye.x += 0.35;
     eye.y += 0.22;
-    camera.position.copy(eye.normalize().multiplyScalar(4 * radius));
-    camera.zoom = 1;
-    camera.updateProjectionMatrix();
-    controls.target.set(0, 0, 0);
-    controls.update();
+    lookFrom(eye.normalize().multiplyScalar(4 * radius));
   }
-
-  let waiting = false;
-  function draw() {
-    waiting = false;
-    const {clientWidth: w, clientHeight: h} = canvas;
-    const size = renderer.getPixelRatio();
-    if (canvas.width !== Math.floor(w * size) || canvas.height !== Math.floor(h * size)) {
-      renderer.setSize(w, h, false);
-      // The surface fills the view as the station sees it, with room for its depth when it is turned.
-      camera.top = 0.56 * Math.max(data.extent[1], data.extent[0] * h / w) + 0.2 * data.extent[2];
-      camera.right = camera.top * w / h;
-      [camera.left, camera.bottom] = [-camera.right, -camera.top];
-      camera.updateProjectionMatrix();
-    }
-    // The light stands to the upper left of the viewer.
-    const across = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
-    const up = new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1);
+  // The light stands to the upper left of the viewer.
+  function light() {
     const far = camera.position.distanceTo(controls.target);
-    lamp.position.copy(camera.position).addScaledVector(across, -0.9 * far).addScaledVector(up, 0.9 * far);
+    lamp.position.copy(camera.position).addScaledVector(axis(0), -0.9 * far).addScaledVector(axis(1), 0.9 * far);
     lamp.target.position.copy(controls.target);
-    renderer.render(scene, camera);
-    drawScaleBar(root.querySelector('.scale'), 2 * camera.top / camera.zoom / h * data.meters);
   }
-  function redraw() {
-    if (!waiting) requestAnimationFrame(draw);
-    waiting = true;
-  }
-
-  // Turns the viewer about the target, angles in radians.
   function turn(sideways, upwards) {
     const offset = camera.position.clone().sub(controls.target), length = offset.length();
     const azimuth = Math.atan2(offset.x, offset.z) + sideways;
     const polar = Math.min(Math.PI - 0.05, Math.max(0.05, Math.acos(offset.y / length) - upwards));
     camera.position.set(Math.sin(polar) * Math.sin(azimuth), Math.cos(polar), Math.sin(polar) * Math.cos(azimuth))
         .multiplyScalar(length).add(controls.target);
-    controls.update();
-    redraw();
   }
-  function zoom(factor) {
-    camera.zoom = Math.min(controls.maxZoom, Math.max(controls.minZoom, camera.zoom * factor));
-    camera.updateProjectionMatrix();
-    redraw();
-  }
-
-  canvas.addEventListener('pointerdown', () => canvas.focus({preventScroll: true}));
-  // As in the relighting view, the wheel scrolls the page until the view has the focus.
-  canvas.addEventListener('wheel', event => {
-    if (document.activeElement !== canvas && !event.ctrlKey) event.stopImmediatePropagation();
-  }, {capture: true});
-  canvas.addEventListener('keydown', event => {
-    const act = {
-      ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
-      ArrowDown: () => turn(0, -0.1), '+': () => zoom(1.25), '=': () => zoom(1.25), '-': () => zoom(0.8),
-      0: () => root.querySelector('[data-act=reset]').click()
-    }[event.key];
-    if (!act) return;
-    act();
-    event.preventDefault();
-  });
-  controls.addEventListener('change', redraw);
   function apply() {
     const paint = control('paint').value;
     material.map = paint === 'plain' ? null : texture;
@@ -148,14 +87,6 @@
     redraw();
   }
   root.addEventListener('input', apply);
-  root.querySelector('[data-act=in]').addEventListener('click', () => zoom(1.5));
-  root.querySelector('[data-act=out]').addEventListener('click', () => zoom(1 / 1.5));
-  root.querySelector('[data-act=reset]').addEventListener('click', () => {
-    root.querySelector('form').reset();
-    home();
-    apply();
-  });
-  new ResizeObserver(redraw).observe(canvas);
   apply();
   draw();
   home();

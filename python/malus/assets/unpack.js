@@ -6,22 +6,12 @@ const unpack = (() => {
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  // 16-bit whole numbers; Type is Int16Array or Uint16Array.
+  // Whole numbers; Type is Int16Array, Uint16Array or Uint32Array, which keeps the lowest bits of a number that is too large for it.
   async function words(base64, Type) {
-    const planes = await inflate(base64), count = planes.length / 2, values = new Type(count);
-    for (let i = 0, value = 0; i < count; ++i) {
-      value = (value + planes[i] + (planes[count + i] << 8)) & 0xffff;
-      values[i] = value;
-    }
-    return values;
-  }
-
-  async function indices(base64) {
-    const planes = await inflate(base64), count = planes.length / 4, values = new Uint32Array(count);
-    for (let i = 0, value = 0; i < count; ++i) {
-      const step = planes[i] + planes[count + i] * 256 + planes[2 * count + i] * 65536 + planes[3 * count + i] * 16777216;
-      value = (value + step) % 4294967296;
-      values[i] = value;
+    const planes = await inflate(base64), size = Type.BYTES_PER_ELEMENT, count = planes.length / size, values = new Type(count);
+    for (let i = 0; i < count; ++i) {
+      values[i] = i ? values[i - 1] : 0;
+      for (let k = 0; k < size; ++k) values[i] += planes[k * count + i] * 256 ** k;
     }
     return values;
   }
@@ -41,5 +31,5 @@ const unpack = (() => {
 
   // The JSON block with this id in the page.
   const block = id => JSON.parse(document.getElementById(id).textContent);
-  return {words, indices, normals, picture, block};
+  return {words, normals, picture, block};
 })();

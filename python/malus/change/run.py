@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import new_folder, resolved
+from malus._files import new_folder, resolved, sha256_of
 from malus.change.page import write_page
 from malus.change.regions import Region, find_regions, pixel_areas
 from malus.change.registration import Registration, register
@@ -146,7 +146,7 @@ def _identity(exporter: Exporter) -> dict[str, Any]:
     quality = exporter.workspace.quality
     return {
         "workspace": str(exporter.workspace.folder),
-        "manifest_sha256": _core.sha256_of_file(str(exporter.workspace.folder / "manifest.json")),
+        "manifest_sha256": sha256_of(exporter.workspace.folder / "manifest.json"),
         "name": exporter.name,
         "recorded_on": quality.get("object", {}).get("recorded_on") or None,
         "gsd_um": float(quality["gsd"]) * METERS[exporter.unit] * 1e6,

@@ -79,13 +79,8 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
         raise DataError(
             f"{after.workspace.folder}: nothing says how unsure its surface or that of {before.workspace.folder} is"
         )
-    maps = []
-    for values in (distance, limit):
-        small = np.full(core.shape, np.nan)
-        small[core] = values
-        full = m3c2.spread_out(small, step, known.shape)
-        maps.append(np.where(known, full, np.nan).astype(np.float32))
-    return Distances(maps[0], maps[1], depth_after, radius)
+    distances, limits = (m3c2.spread_out(values, step, known) for values in (distance, limit))
+    return Distances(distances, limits, depth_after, radius)
 
 
 def _seen_from(

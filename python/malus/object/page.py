@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +15,8 @@ from PIL import Image
 from PIL.PngImagePlugin import PngImageFile
 
 from malus import _core
-from malus._files import replacing, write_text
+from malus._files import write_bytes, write_text
+from malus.figures import encode
 from malus.lengths import scale_bar, shown, sides
 from malus.object.agreement import Agreement
 from malus.object.arrays import chunks
@@ -54,8 +54,7 @@ def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
     paths = []
     for agreement in agreements:
         path = folder / f"{agreement.view}.png"
-        with replacing(path) as temporary:
-            Image.fromarray(colors_of(agreement.ratio / _MOST_RATIO)).save(temporary)
+        write_bytes(path, encode(colors_of(agreement.ratio / _MOST_RATIO), "PNG"))
         paths.append(path)
     return paths
 
@@ -73,8 +72,7 @@ def write_distances(
         for some in chunks(len(pixels[0])):
             rows, columns = (places[some] for places in pixels)
             shown[rows, columns] = distances[find(view.points_at(rows, columns))]
-        with replacing(path) as temporary:
-            Image.fromarray(_colors_of_distances(shown, gsd)).save(temporary)
+        write_bytes(path, encode(_colors_of_distances(shown, gsd), "PNG"))
         paths.append(path)
     return paths
 
@@ -157,11 +155,9 @@ def _map(path: Path, gsd: float, unit: str) -> _Map:
         colors = colors[_with_room(rows, colors.shape[0]), _with_room(columns, colors.shape[1])]
     across = colors.shape[1] * gsd
     length, label = scale_bar(across, unit)
-    content = io.BytesIO()
     picture = Image.fromarray(colors)
     picture.thumbnail((_MAP_SIDE, _MAP_SIDE))
-    picture.save(content, "PNG")
-    return _Map(base64_text(content.getvalue()), *picture.size, 100 * length / across, label)
+    return _Map(base64_text(encode(np.asarray(picture), "PNG")), *picture.size, 100 * length / across, label)
 
 
 def _with_room(places: NDArray[np.intp], size: int) -> slice:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, registration, scans
-from malus._robust import robust_spread
+from malus._robust import distance_figures
 from malus.errors import DataError
 from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats, View
@@ -121,19 +121,13 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
     compared = counted[np.isfinite(counted)]
     if not len(compared):
         raise DataError(_FAR_AWAY)
-    median = float(np.median(compared))
-    percentiles = np.percentile(compared, (5, 95)).tolist()
     figures = {
         "compared_fraction": len(compared) / len(counted),
         "within_1_gsd": float((np.abs(compared) < 1).mean()),
         "absolute_median_gsd": float(np.median(np.abs(compared))),
-        "distance_gsd": {
-            "mean": float(compared.mean()), "rmse": float(np.sqrt((compared.astype(np.float64) ** 2).mean())),
-            "mad": robust_spread(compared - median), "p05": percentiles[0], "median": median,
-            "p95": percentiles[1],
-        },
+        "distance_gsd": distance_figures(compared),
         "completeness": _completeness(reference, mesh, gsd, threads),
-    }  # fmt: skip
+    }
     return Comparison(reference, distances, figures)
 
 

@@ -271,7 +271,7 @@ def _fuse(
             folder / "mesh.ply",
             page.write_page(folder, quality, baked[0], mesh, views, comparison, linked=thing.campaign.report),
         ]
-        quality["files"] = {str(path.relative_to(folder)): _core.sha256_of_file(str(path)) for path in files}
+        quality["files"] = {str(path.relative_to(folder)): sha256_of(path) for path in files}
         _require_unchanged(thing, outcomes, frame, folder, key)
         write_record(folder / "quality.json", quality)
 

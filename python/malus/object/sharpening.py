@@ -158,17 +158,17 @@ def _sharpened(view: View, stations: Sequence[tuple[View, Phases]]) -> View:
         cells = _Cells(view, window)
         if cells.unknowns:
             part = np.zeros(cells.pixels.shape)
-            part[cells.pixels] = _growth(cells, view, stations)
+            part[cells.pixels] = _growth(cells, stations)
             growth[top : top + _TILE, left : left + _TILE] = part[inner]
     return _moved(view, growth)
 
 
-def _growth(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -> Floats:
+def _growth(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> Floats:
     """Growth of the depths of the cells' pixels."""
     sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
     solvers = extra("scipy.sparse.linalg", "scipy", "the surface of an object", "object")
     growth = np.zeros(cells.unknowns)
-    asked = _asked(cells, view, stations)
+    asked = _asked(cells, stations)
     place = sparse.diags(cells.across / cells.sigma)
     bend = cells.bends() @ sparse.diags(cells.across / _BEND_GSD)
     held = place.T @ place + bend.T @ bend
@@ -185,7 +185,7 @@ def _growth(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) 
     return growth
 
 
-def _asked(cells: _Cells, view: View, stations: Sequence[tuple[View, Phases]]) -> list[tuple[Ints, Floats, Floats]]:
+def _asked(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> list[tuple[Ints, Floats, Floats]]:
     """For each station: the cells that it sees, the degree of polarization there, and the two planes."""
     corners = cells.corners(np.zeros(cells.unknowns))
     points = cells.eye + sum(corners) / 4

@@ -82,7 +82,7 @@ def textured(
         points, triangles = library.simplify(points.astype(np.float32), triangles.astype(np.int32), target_count=faces)
         points = points.astype(np.float64)
     side, original, triangles, uv = _atlas(points, triangles, gsd, coarseness)
-    normals = vertex_normals(points, _welded(triangles, original))[original]
+    normals = vertex_normals(points, original[triangles])[original]
     points = points[original] + middle
     tangents = _tangents(points, normals, uv, triangles)
     color, fine, bare = (np.zeros((side, side, 3), np.uint8) for _ in range(3))
@@ -214,23 +214,11 @@ def _atlas(
     return side, original.astype(np.int64), indices.astype(np.int64), uv / side
 
 
-def _welded(triangles: NDArray[np.int64], original: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray(original[triangles])
-
-
 def _texels(
     corners_px: Floats, triangles: NDArray[np.int64], side: int, finer: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Row, column, triangle and barycentric shares (N×3) of every sample inside a triangle; a texel has finer × finer samples."""
-    rows, columns, owner, shares = _samples(corners_px * finer, triangles, side * finer)
-    return rows // finer, columns // finer, owner, shares
-
-
-def _samples(
-    corners_px: Floats, triangles: NDArray[np.int64], side: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Row, column, triangle and barycentric shares (N×3) of every sample whose center is inside a triangle."""
-    a, b, c = (corners_px[triangles[:, k]] - 0.5 for k in range(3))
+    """Row, column, triangle and barycentric shares (N×3) of every sample whose center is inside a triangle; a texel has finer × finer samples."""
+    a, b, c = (corners_px[triangles[:, k]] * finer - 0.5 for k in range(3))
     low = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int64)
     size = np.ceil(np.maximum(np.maximum(a, b), c)).astype(np.int64) - low + 1
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
@@ -246,9 +234,9 @@ def _samples(
                 / area[some]
                 for q, r in ((b, c), (c, a))
             )
-            held = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (p >= 0).all(1) & (p < side).all(1)
+            held = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (p >= 0).all(1) & (p < side * finer).all(1)
             s, t = s[held], t[held]
-            parts.append((p[held, 1], p[held, 0], some[held], np.stack([s, t, 1 - s - t], 1)))
+            parts.append((p[held, 1] // finer, p[held, 0] // finer, some[held], np.stack([s, t, 1 - s - t], 1)))
     rows, columns, owner, shares = (np.concatenate(values) for values in zip(*parts, strict=True))
     return rows, columns, owner, shares
 

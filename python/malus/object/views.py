@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._extra import extra
 from malus.object.arrays import on_disk
 from malus.workspace import Workspace
 
@@ -101,12 +102,17 @@ class View:
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.focal[0] * x / z + self.center[0], self.focal[1] * y / z + self.center[1], z
 
-    def meet(self, points: Floats) -> Meeting:
-        """The surface in the pixels that world points (N×3) fall into."""
+    def _pixels(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Bools]:
+        """Row, column and depth z of world points (N×3), and which of them fall into the image; the first pixel for all others."""
         height, width = self.depth.shape
         u, v, z = self.project(points)
-        inside = (z > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+        inside = np.asarray((z > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5))
         column, row = (np.where(inside, np.rint(x), 0).astype(np.int64) for x in (u, v))
+        return row, column, z, inside
+
+    def meet(self, points: Floats) -> Meeting:
+        """The surface in the pixels that world points (N×3) fall into."""
+        row, column, z, inside = self._pixels(points)
         there = inside & self.usable[row, column]
         return Meeting(
             column, row, z, self.points_at(row, column), self.normals[row, column].astype(np.float64),
@@ -120,11 +126,8 @@ class View:
 
     def placed(self, points: Floats) -> tuple[Bools, Bools]:
         """Which world points (N×3) fall into the image, and which of them fall on the object."""
-        height, width = self.depth.shape
-        u, v, z = self.project(points)
-        inside = (z > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-        column, row = (np.where(inside, np.rint(x), 0).astype(np.int64) for x in (u, v))
-        return np.asarray(inside), np.asarray(inside & self.object[row, column])
+        row, column, _, inside = self._pixels(points)
+        return inside, np.asarray(inside & self.object[row, column])
 
     def in_front(self, points: Floats, margin: float) -> Bools:
         """Which world points (N×3) lie in front of this view's surface by more than `margin` standard deviations.
@@ -197,26 +200,17 @@ def _rims(depth: Floats, gsd: Floats, cosine: Floats, known: Bools) -> Bools:
     """Pixels near the contour or a step in depth."""
     edge = ~known
     slope = np.sqrt(np.clip(1 / np.maximum(cosine, LEAST_COSINE) ** 2 - 1, 0, None))
-    for axis in (0, 1):
-        step = np.abs(np.diff(depth, axis=axis)) > _most(_STEP_GSD * gsd * (1 + slope), axis)
-        edge |= np.concatenate([step, np.zeros_like(step.take([0], axis))], axis)
-        edge |= np.concatenate([np.zeros_like(step.take([0], axis)), step], axis)
+    most = _STEP_GSD * gsd * (1 + slope)
+    down = np.abs(np.diff(depth, axis=0)) > np.maximum(most[:-1], most[1:])
+    across = np.abs(np.diff(depth, axis=1)) > np.maximum(most[:, :-1], most[:, 1:])
+    edge[:-1] |= down
+    edge[1:] |= down
+    edge[:, :-1] |= across
+    edge[:, 1:] |= across
     return _grown(edge)
 
 
 def _grown(region: Bools) -> Bools:
     """A region and the pixels within _RIM_PX of it."""
-    for _ in range(_RIM_PX):
-        grown = region.copy()
-        grown[1:] |= region[:-1]
-        grown[:-1] |= region[1:]
-        grown[:, 1:] |= region[:, :-1]
-        grown[:, :-1] |= region[:, 1:]
-        region = grown
-    return region
-
-
-def _most(values: Floats, axis: int) -> Floats:
-    """The larger of each two neighbors along an axis."""
-    first, second = np.split(np.arange(values.shape[axis]), [1])
-    return np.asarray(np.maximum(values.take(np.concatenate([first, second[:-1]]), axis), values.take(second, axis)))
+    ndimage = extra("scipy.ndimage", "scipy", "the surface of an object", "object")
+    return np.asarray(ndimage.binary_dilation(region, iterations=_RIM_PX))

@@ -119,8 +119,10 @@ class Bench:
             )
         return min(self.colmap.threads, max(1, int(_MEMORY_SHARE * left / each_mb)))
 
-    def adjust(self, stage: str, source: Path, target: Path, refine: dict[str, object]) -> None:
-        """Drop points with large residuals, which are mostly wrong matches, and adjust the model to the other points."""
+    def adjust(self, stage: str, source: Path, target: Path, *, lens: bool, principal_point: bool = False) -> None:
+        """Drop points with large residuals, which are mostly wrong matches, and adjust the model to the other points. lens,
+        principal_point: whether these are adjusted, too.
+        """
         filtered = target.with_name(f"{target.name}_filtered")
         for folder in (filtered, target):
             folder.mkdir(parents=True, exist_ok=True)
@@ -137,7 +139,17 @@ class Bench:
             },
             log,
         )
-        self.colmap.run("bundle_adjuster", {"input_path": filtered, "output_path": target, **refine}, log)
+        self.colmap.run(
+            "bundle_adjuster",
+            {
+                "input_path": filtered,
+                "output_path": target,
+                "BundleAdjustment.refine_focal_length": lens,
+                "BundleAdjustment.refine_extra_params": lens,
+                "BundleAdjustment.refine_principal_point": principal_point,
+            },
+            log,
+        )
         shutil.rmtree(filtered)
 
     def match(self, stage: str, target: Path, pairs: list[tuple[str, str]], *, guided: bool) -> None:

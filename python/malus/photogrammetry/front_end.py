@@ -218,7 +218,7 @@ def _placed_and_scaled(
     """
     matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     placed = matched.placed
-    registered = {name: image.camera for name, image in placed.model.images.items() if name not in views}
+    registered = {name: camera for name, camera in placed.model.cameras.items() if name not in views}
     scale, datum = None, None
     try:
         if said["control"]:

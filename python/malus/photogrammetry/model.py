@@ -53,6 +53,11 @@ class SparseModel:
         return SparseModel(images, points, errors, lengths)
 
     @property
+    def cameras(self) -> dict[str, Camera]:
+        """Cameras of the images, by the images' names."""
+        return {name: image.camera for name, image in self.images.items()}
+
+    @property
     def mean_error_px(self) -> float:
         """Mean reprojection error of the observations."""
         total = float(self.track_lengths.sum())
@@ -67,6 +72,12 @@ class SparseModel:
         centered = centered[near <= np.percentile(near, 90)]
         spread = np.linalg.svd(centered - centered.mean(axis=0), compute_uv=False)
         return float(spread[2] / spread[0])
+
+
+def reader_options(camera: Camera) -> dict[str, object]:
+    """Options of COLMAP's image reader for images of a known lens."""
+    params = ",".join(repr(float(p)) for p in colmap_params(camera))
+    return {"camera_model": camera.model, "camera_params": params}
 
 
 def colmap_params(camera: Camera) -> NDArray[np.float64]:

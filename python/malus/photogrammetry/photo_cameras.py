@@ -16,7 +16,7 @@ from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.model import SparseModel, colmap_params
+from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photos import Photo, write_proxy
 from malus.photogrammetry.program import SearchStoppedError
 
@@ -52,8 +52,7 @@ class CameraGroup:
     def reader(self) -> dict[str, object]:
         """Options of COLMAP's image reader."""
         if self.known is not None:
-            params = ",".join(repr(float(p)) for p in colmap_params(self.known))
-            return {"camera_model": self.known.model, "camera_params": params}
+            return reader_options(self.known)
         if self.focal_px is not None:
             first = self.photos[0]
             params = f"{self.focal_px!r},{self.focal_px!r},{first.width / 2},{first.height / 2},0,0,0,0"
@@ -326,15 +325,7 @@ def _run_mapper(
 
 def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
     bench.report("adjustment", 0, "adjustment of all photos")
-    refine = int(not fixed)
-    bench.adjust(
-        "adjustment",
-        bench.folder / best,
-        bench.folder / "adjusted",
-        {
-            "BundleAdjustment.refine_focal_length": refine,
-            "BundleAdjustment.refine_extra_params": refine,
-            "BundleAdjustment.refine_principal_point": int(not fixed and count >= MIN_PHOTOS_PRINCIPAL_POINT),
-        },
-    )
+    enough = count >= MIN_PHOTOS_PRINCIPAL_POINT
+    source, target = bench.folder / best, bench.folder / "adjusted"
+    bench.adjust("adjustment", source, target, lens=not fixed, principal_point=not fixed and enough)
     return {}

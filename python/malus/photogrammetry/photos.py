@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import ExifTags
 
 from malus import _core, raw
-from malus._files import require_utf8
+from malus._files import natural, require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
-from malus.exif import number_of, tags_of
+from malus.exif import number_of, positive, tags_of
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
@@ -52,15 +51,6 @@ class Photo:
         return self.width, self.height, self.maker, None, self.focal_mm
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", name)]
-
-
-def _positive(value: object) -> float | None:
-    number = number_of(value)
-    return number if number is not None and number > 0 else None
-
-
 def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float | None]:
     """Camera and lens ("" if unknown), and the focal length in pixels and in millimeters (None if unknown), from the
     file's EXIF data.
@@ -69,15 +59,15 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float
     tags = ExifTags.Base
     names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
     maker = " ".join(str(name).strip("\x00 ") for name in names if name)
-    focal_mm = _positive(said.get(tags.FocalLength))
-    resolution = _positive(said.get(tags.FocalPlaneXResolution))
+    focal_mm = positive(said.get(tags.FocalLength))
+    resolution = positive(said.get(tags.FocalPlaneXResolution))
     unit = _MM_PER_RESOLUTION_UNIT.get(number_of(said.get(tags.FocalPlaneResolutionUnit)) or 2, 25.4)
-    written = _positive(said.get(tags.ExifImageWidth))
+    written = positive(said.get(tags.ExifImageWidth))
     if focal_mm and resolution:
         # The resolution refers to the image as the camera wrote it.
-        scale = max(width, height) / max(written or width, _positive(said.get(tags.ExifImageHeight)) or height)
+        scale = max(width, height) / max(written or width, positive(said.get(tags.ExifImageHeight)) or height)
         return maker, focal_mm * resolution / unit * scale, focal_mm
-    equivalent = _positive(said.get(tags.FocalLengthIn35mmFilm))
+    equivalent = positive(said.get(tags.FocalLengthIn35mmFilm))
     if equivalent:
         return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height), focal_mm
     return maker, None, focal_mm
@@ -117,7 +107,7 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     for pattern in exclude:
         if not any(_matches(name, pattern) for name in names):
             raise InputError(f'[photos] exclude = ["{pattern}"]: no photo in {folder} has that name')
-    kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=_natural)
+    kept = sorted((n for n in names if not any(_matches(n, pattern) for pattern in exclude)), key=natural)
     for name in kept:
         require_utf8(names[name])
     return {name: names[name] for name in kept}

@@ -32,11 +32,6 @@ class Plan:
     sweeping: Expected
 
 
-def _sweep_line(options: Options) -> str:
-    again = ", then again about the surface fused with it" if options.sweep.again else ""
-    return f"sweep: depth of the station's view from the photos{again}"
-
-
 def _scale_line(station: Mapping[str, Any]) -> str:
     if station["control"]:
         marked = [point for point in station["control"] if len(point["marks"]) > 1]
@@ -83,4 +78,6 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     if "camera" not in station:
         warnings.append("[camera] is missing: the station's lens is taken from the photos or self-calibrated")
     work = Work([(photo.width, photo.height) for photo in photos], len(pairs), station_mpx, options, threads)
-    return Plan(does, _sweep_line(options), warnings, photos_cost(work), sweep_cost(work))
+    again = ", then again about the surface fused with it" if options.sweep.again else ""
+    sweep = f"sweep: depth of the station's view from the photos{again}"
+    return Plan(does, sweep, warnings, photos_cost(work), sweep_cost(work))

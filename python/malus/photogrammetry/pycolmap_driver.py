@@ -17,39 +17,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-_EXTRACTION = {
-    "SiftExtraction.use_gpu": "use_gpu",
-    "SiftExtraction.num_threads": "num_threads",
-    "SiftExtraction.max_image_size": "max_image_size",
-    "SiftExtraction.max_num_features": "sift.max_num_features",
-}
-_READER = {
-    f"ImageReader.{name}": name
-    for name in ("camera_model", "camera_params", "existing_camera_id", "default_focal_length_factor")
-}
-_MATCHING = {f"SiftMatching.{name}": name for name in ("use_gpu", "num_threads", "guided_matching")}
-_GEOMETRY = {"SiftMatching.min_num_inliers": "min_num_inliers"}
-_MAPPER = {
-    **{
-        f"Mapper.{name}": name
-        for name in (
-            "num_threads",
-            "min_num_matches",
-            "min_model_size",
-            "ba_refine_focal_length",
-            "ba_refine_principal_point",
-            "ba_refine_extra_params",
-        )
-    },
-    "Mapper.init_min_tri_angle": "mapper.init_min_tri_angle",
-    "Mapper.abs_pose_min_num_inliers": "mapper.abs_pose_min_num_inliers",
-}
-_ADJUSTMENT = {
-    f"BundleAdjustment.{name}": name
-    for name in ("refine_focal_length", "refine_principal_point", "refine_extra_params")
-}
 
-_POISSON = {f"PoissonMeshing.{name}": name for name in ("point_weight", "depth", "trim", "num_threads")}
+def _named(group: str, *paths: str) -> dict[str, str]:
+    """Paths of attributes in pycolmap, by the names of the options in COLMAP 3.8: "Mapper.x" for "x" and for "mapper.x"."""
+    return {f"{group}.{path.split('.')[-1]}": path for path in paths}
+
+
+_EXTRACTION = _named("SiftExtraction", "use_gpu", "num_threads", "max_image_size", "sift.max_num_features")
+_READER = _named("ImageReader", "camera_model", "camera_params", "existing_camera_id")
+_MATCHING = _named("SiftMatching", "use_gpu", "num_threads", "guided_matching")
+_GEOMETRY = _named("SiftMatching", "min_num_inliers")
+_MAPPER = _named(
+    "Mapper", "num_threads", "min_num_matches", "min_model_size", "ba_refine_focal_length", "ba_refine_extra_params",
+    "mapper.init_min_tri_angle", "mapper.abs_pose_min_num_inliers",
+)  # fmt: skip
+_ADJUSTMENT = _named("BundleAdjustment", "refine_focal_length", "refine_principal_point", "refine_extra_params")
+_POISSON = _named("PoissonMeshing", "point_weight", "depth", "trim", "num_threads")
 
 
 class UsageError(Exception):

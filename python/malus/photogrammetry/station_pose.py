@@ -17,7 +17,7 @@ from malus.camera import Camera
 from malus.errors import DataError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.model import SparseModel, colmap_params
+from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
 
@@ -98,7 +98,7 @@ def _place(
     bench.report("station", 0.0, "features of the station's image")
     for image, view in stations.items():
         _core.write_png(str(bench.images / image), pixels[image])
-        bench.extract_features("station", source, [image], _reader(view, source, pixels[image].shape))
+        bench.extract_features("station", source, [image], _reader(view, source))
         if view.mask is not None:
             database.keep_features(source, image, view.mask)
     matches = _match(bench, source, photos, list(stations))
@@ -108,7 +108,7 @@ def _place(
         raise failure
 
     work = bench.folder / "station"
-    mapper, adjustment = _lens_options(stations, photos.calibrated)
+    mapper, adjust_lenses = _lens_options(stations, photos.calibrated)
     registered, triangulated, placed = work / "registered", work / "triangulated", bench.folder / "placed"
     for folder in (registered, triangulated, placed):
         folder.mkdir(parents=True)
@@ -130,12 +130,7 @@ def _place(
         log,
     )  # fmt: skip
     bench.report("station", 0.8, "adjustment with the station")
-    bench.adjust(
-        "station",
-        triangulated,
-        placed,
-        adjustment,
-    )
+    bench.adjust("station", triangulated, placed, lens=adjust_lenses)
     result = PlacedStations(placed, SparseModel.read(placed), matches)
     if not any(result.has(image) for image in stations):
         raise failure
@@ -144,28 +139,23 @@ def _place(
     return {"matches": matches}
 
 
-def _lens_options(stations: Mapping[str, StationView], calibrated: bool) -> tuple[dict[str, object], dict[str, object]]:
-    """Options by which a station's unknown lens is found with its pose, and those of the adjustment of all images.
+def _lens_options(stations: Mapping[str, StationView], calibrated: bool) -> tuple[dict[str, object], bool]:
+    """Options by which a station's unknown lens is found with its pose, and whether lenses change in the adjustment of all images.
 
     calibrated: the photos' lens was given and must not change. COLMAP's adjustment cannot hold one lens fixed and change another: the
     station's lens is then adjusted by `match_windows` alone.
     """
     refine = any(view.lens is None and view.shared_with is None for view in stations.values())
-    adjust = int(refine and not calibrated)
-    return (
-        {"Mapper.ba_refine_focal_length": int(refine), "Mapper.ba_refine_extra_params": int(refine)},
-        {
-            "BundleAdjustment.refine_focal_length": adjust,
-            "BundleAdjustment.refine_extra_params": adjust,
-            "BundleAdjustment.refine_principal_point": 0,
-        },
-    )
+    found: dict[str, object] = {
+        "Mapper.ba_refine_focal_length": int(refine),
+        "Mapper.ba_refine_extra_params": int(refine),
+    }
+    return found, refine and not calibrated
 
 
-def _reader(station: StationView, source: Path, shape: tuple[int, ...]) -> dict[str, object]:
+def _reader(station: StationView, source: Path) -> dict[str, object]:
     if station.lens is not None:
-        params = ",".join(repr(float(p)) for p in colmap_params(station.lens))
-        return {"camera_model": station.lens.model, "camera_params": params}
+        return reader_options(station.lens)
     if station.shared_with is not None:
         return {"existing_camera_id": database.camera_of(source, station.shared_with)}
     return {"camera_model": SELF_CALIBRATED}

@@ -10,7 +10,8 @@ from __future__ import annotations
 import secrets
 from pathlib import Path
 
-from starlette.datastructures import Headers, MutableHeaders, QueryParams
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -44,21 +45,21 @@ class Access:
 
     def refusal(self, scope: Scope) -> Response | None:
         """The answer to a request that is refused or redirected; None if the request is to be served."""
-        headers = Headers(scope=scope)
-        if headers.get("host") not in self._hosts:
+        request = Request(scope)
+        if request.headers.get("host") not in self._hosts:
             return PlainTextResponse("Studio answers only to 127.0.0.1 and localhost.", 421)
         if scope["path"].startswith(REPORTS):
             return None
-        given = QueryParams(scope["query_string"]).get("token", "")
+        given = request.query_params.get("token", "")
         if scope["path"] == "/" and given and secrets.compare_digest(given.encode(), self._token.encode()):
             response = RedirectResponse("/", 303)
             response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
             return response
-        cookie = _cookies(headers.get("cookie", "")).get(self._cookie, "")
+        cookie = request.cookies.get(self._cookie, "")
         if not secrets.compare_digest(cookie.encode(), self._token.encode()):
             return PlainTextResponse("Open the address that `malus studio` has printed; it carries the key.", 403)
         if scope["method"] not in ("GET", "HEAD"):
-            return self._refusal_to_change(headers)
+            return self._refusal_to_change(request.headers)
         return None
 
     def _refusal_to_change(self, headers: Headers) -> Response | None:
@@ -67,11 +68,6 @@ class Access:
         if not secrets.compare_digest(headers.get("x-malus-page", "").encode(), self.page_token.encode()):
             return PlainTextResponse("The page is of an earlier Studio; reload it.", 403)
         return None
-
-
-def _cookies(header: str) -> dict[str, str]:
-    pairs = (part.strip().partition("=") for part in header.split(";"))
-    return {name: value for name, _, value in pairs}
 
 
 class Guard:

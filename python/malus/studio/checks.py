@@ -50,13 +50,9 @@ def check(path: Path, threads: int) -> dict[str, Any]:
         station = malus.Station.load(path)
         plan = malus.check(station, options_of(path), threads=threads)
     except MalusError as error:
-        return {"lines": [{"severity": "error", "field": field_of(_without_path(str(error), path)), "message": str(error)}]}  # fmt: skip
+        field = field_of(str(error).replace(str(path), ""))  # words of the path could match another field
+        return {"lines": [{"severity": "error", "field": field, "message": str(error)}]}
     lines = [{"severity": "warning", "field": field_of(text), "message": text} for text in plan["warnings"]]
     if not any(step.startswith("fuse:") for step in plan["does"]):
         lines = [line for line in lines if line["field"] != "prior"] + [_NO_SURFACE]
     return {"lines": lines, "plan": plan}
-
-
-def _without_path(message: str, path: Path) -> str:
-    """The message without the station file's path, whose words could match a field."""
-    return message.replace(str(path), "")

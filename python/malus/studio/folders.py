@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core, exif, station_import
-from malus._files import as_text, is_utf8, open_regular, read_regular, resolved
+from malus._files import as_text, is_utf8, natural, open_regular, read_regular, resolved
 from malus.errors import InputError
 from malus.photogrammetry.photos import photo_files
 from malus.raw import is_raw
@@ -34,7 +34,7 @@ def _is_image(path: Path) -> bool:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
+    return natural(path.name)
 
 
 def _is_station(path: Path) -> bool:
@@ -156,7 +156,7 @@ def candidates(root: Root) -> dict[str, Any]:
         names = set(files)
         if names & {"cameras.txt", "cameras.bin"} and names & {"images.txt", "images.bin"}:
             models.append(root.name(here))
-        inside = [here / f for f in sorted(files, key=lambda name: _natural(Path(name))) if root.holds(here / f)]
+        inside = [here / f for f in sorted(files, key=natural) if root.holds(here / f)]
         priors += [{"kind": kind, "path": root.name(path)} for path in inside if (kind := _kind_of_prior(path))]
         stations += [root.name(path) for path in inside if _is_station(path)]
         if any(_is_image(path) for path in inside):
@@ -233,5 +233,5 @@ def photos_of(root: Root, station: Path, values: Mapping[str, Any]) -> list[dict
     names = set(images_of_model(root.directory(str(station.parent / camera["colmap_model"])))) - {camera.get("image")}
     found = {here: sorted(name for name in names if (root.path(here) / name).is_file()) for here in candidates(root)["images"]}  # fmt: skip
     best = max(found, key=lambda here: len(found[here]), default=None)
-    named = [] if best is None else sorted(found[best], key=lambda name: _natural(Path(name)))
+    named = [] if best is None else sorted(found[best], key=natural)
     return [{"path": root.name(root.path(str(best)) / name), "image": name} for name in named]

@@ -15,6 +15,9 @@ from malus.photogrammetry.control import adjust_datum
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.scale import adjust_scale
 
+#: Shown in place of lines and residuals.
+_NO_CAMERAS = "The photos' cameras are not known yet; after the first run lines and residuals are shown here."
+
 
 def model_of(station: Path, camera: Mapping[str, Any], works: Sequence[Path]) -> Path | None:
     """Folder of a model with the photos' cameras: the station's own model, or one made by a run of the station; None if there is none."""
@@ -53,8 +56,8 @@ def residuals(cameras: Mapping[str, Camera], bars: Sequence[Mapping[str, Any]], 
 def examined(model: Path | None, bars: Sequence[Mapping[str, Any]], image: str, distance: int, end: str, options: Options) -> dict[str, Any]:  # fmt: skip
     """Epipolar lines for the end that is being marked in `image`, and the residuals of all distances."""
     if model is None:
-        return {"lines": [], "fits": {}, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
-    cameras = {name: registered.camera for name, registered in SparseModel.read(model).images.items()}
+        return {"lines": [], "fits": {}, "problem": _NO_CAMERAS}
+    cameras = SparseModel.read(model).cameras
     marks = bars[distance].get(end, []) if 0 <= distance < len(bars) else []
     return {"lines": lines(cameras, image, marks), **residuals(cameras, bars, options)}
 
@@ -76,8 +79,8 @@ def control(station: Path, model: Path | None, image: str, name: str, options: O
     if description["prior"] != "photos":
         return said
     if model is None:
-        return {**said, "problem": "The photos' cameras are not known yet; after the first run lines and residuals are shown here."}  # fmt: skip
-    cameras = {known: registered.camera for known, registered in SparseModel.read(model).images.items()}
+        return {**said, "problem": _NO_CAMERAS}
+    cameras = SparseModel.read(model).cameras
     said["lines"] = lines(cameras, image, next((point["marks"] for point in points if point["name"] == name), []))
     try:
         datum = adjust_datum(points, cameras, options.photos.mark_sigma_px, lambda _level, _message: None)

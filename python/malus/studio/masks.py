@@ -124,15 +124,11 @@ def outline_of_prior(station: malus.Station, options: Options, threads: int) -> 
 
     Raises InputError for a lens with distortion: the prior lies in the undistorted image, the mask in the image as taken.
     """
-    if _has_distortion(station):
+    if distorting(station.describe().get("camera")) is not None:
         raise InputError(
             "the outline of the prior is for lenses without distortion, expected another tool for this one"
         )
     return encode(np.where(np.isfinite(_prior_in_view(station, options, threads)), 255, 0).astype(np.uint8), "PNG")
-
-
-def _has_distortion(station: malus.Station) -> bool:
-    return distorting(station.describe().get("camera")) is not None
 
 
 def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import threading
 from collections.abc import Callable, Hashable, Mapping
 from functools import lru_cache
@@ -106,9 +105,7 @@ def _thumbnail(path: Path) -> bytes:
             with JpegImageFile(path) as image:
                 image.draft("RGB", (THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 image.thumbnail((THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
-                buffer = io.BytesIO()
-                image.convert("RGB").save(buffer, "JPEG", quality=85)
-                return buffer.getvalue()
+                return encode(np.asarray(image.convert("RGB")), "JPEG", quality=85)
         except SyntaxError:  # Pillow's for a file that is no JPEG, whatever its name says.
             pass
         except OSError as error:
@@ -145,9 +142,7 @@ def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = N
     if not (0 <= left < level.width and 0 <= top < level.height):
         raise InputError(f"{path}: has no tile {column}, {row}")
     part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
-    buffer = io.BytesIO()
-    part.save(buffer, "JPEG", quality=88)
-    return buffer.getvalue()
+    return encode(np.asarray(part), "JPEG", quality=88)
 
 
 def size_of(path: Path) -> tuple[int, int]:

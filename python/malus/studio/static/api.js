@@ -35,6 +35,8 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+export const picture = (src, alt, caption) => make('figure', {}, make('img', { src, alt }), make('figcaption', {}, caption));
+
 export const byId = (id) => document.getElementById(id);
 const message = byId('message');
 export const say = (text) => { message.textContent = text || ''; };

@@ -278,12 +278,11 @@ function trace(context, list) {
   list.forEach(([u, v], index) => context[index ? 'lineTo' : 'moveTo'](u + 0.5, v + 0.5));
 }
 
-function stroke(context) {
+function stroke(context, color) {
   trace(context, points.length > 1 ? points : [points[0], points[0]]);
   context.lineWidth = width;
   context.lineCap = context.lineJoin = 'round';
-  context.strokeStyle = `rgb(${label.color})`;
-  if (tool === 'erase') context.globalCompositeOperation = 'destination-out';
+  context.strokeStyle = color;
   context.stroke();
 }
 
@@ -307,7 +306,7 @@ async function press(at) {
     if (first && Math.hypot(first[0] - here[0], first[1] - here[1]) < 10) endPolygon();
     else points.push(at);
   } else if (tool === 'similar') await inTurn(() => similar(at));
-  else if (tool === 'mark') await setMark(at);
+  else if (tool === 'mark') await (what.value === 'scale' ? setEnd(at) : setPoint(at));
   else if (tool !== 'move') { points = [at, at]; pressed = true; }
 }
 
@@ -321,7 +320,12 @@ async function release() {
   if (!pressed) return;
   pressed = false;
   const drawn = points;
-  if (tool === 'brush' || tool === 'erase') layer.edit(boxOf(points, width / 2 + 1), stroke);
+  if (tool === 'brush' || tool === 'erase') {
+    layer.edit(boxOf(points, width / 2 + 1), (context) => {
+      if (tool === 'erase') context.globalCompositeOperation = 'destination-out';
+      stroke(context, `rgb(${label.color})`);
+    });
+  }
   points = [];
   if (tool === 'box' || tool === 'line') await addShape(drawn);
 }
@@ -372,7 +376,8 @@ function paint(context) {
     context.globalAlpha = 0.45;
     view.inImage(context, () => { context.imageSmoothingEnabled = false; context.drawImage(layer.canvas, 0, 0); });
     context.globalAlpha = 1;
-    if (points.length && (tool === 'brush' || tool === 'erase')) view.inImage(context, () => { if (tool === 'erase') { context.globalAlpha = 0.5; context.globalCompositeOperation = 'source-over'; } paintStroke(context); });
+    if (points.length && tool === 'brush') view.inImage(context, () => stroke(context, `rgba(${label.color}, 0.6)`));
+    if (points.length && tool === 'erase') view.inImage(context, () => stroke(context, 'rgba(255, 255, 255, 0.5)'));
     if (points.length && tool === 'polygon') outlined(context, points.map((p) => view.toStage(p)), true);
   }
   for (const entry of state.station?.values.patch ?? []) if (what.value === 'patch') outlined(context, corners(entry.box), true, entry.name);
@@ -384,25 +389,24 @@ function paint(context) {
   if (cursor) cross(context, view.toStage(cursor), '');
 }
 
-function paintStroke(context) {
-  trace(context, points.length > 1 ? points : [points[0], points[0]]);
-  context.lineWidth = width;
-  context.lineCap = context.lineJoin = 'round';
-  context.strokeStyle = tool === 'erase' ? '#ffffff' : `rgba(${label.color}, 0.6)`;
-  context.stroke();
-}
-
 const corners = ([x0, y0, x1, y1]) => [[x0 - 0.5, y0 - 0.5], [x1 + 0.5, y0 - 0.5], [x1 + 0.5, y1 + 0.5], [x0 - 0.5, y1 + 0.5]].map((p) => view.toStage(p));
 
-function outlined(context, list, closed, text) {
-  for (const [color, thick] of [['#fff', 4], ['#c22f43', 2]]) {
+// Draws a path in red on white, which is seen on any image.
+function redOnWhite(context, thick, path) {
+  for (const [color, lineWidth] of [['#fff', 4], ['#c22f43', thick]]) {
     context.beginPath();
-    list.forEach(([x, y], index) => context[index ? 'lineTo' : 'moveTo'](x, y));
-    if (closed) context.closePath();
+    path();
     context.strokeStyle = color;
-    context.lineWidth = thick;
+    context.lineWidth = lineWidth;
     context.stroke();
   }
+}
+
+function outlined(context, list, closed, text) {
+  redOnWhite(context, 2, () => {
+    list.forEach(([x, y], index) => context[index ? 'lineTo' : 'moveTo'](x, y));
+    if (closed) context.closePath();
+  });
   if (text) written(context, text, list[0]);
 }
 
@@ -415,13 +419,9 @@ function written(context, text, [x, y]) {
 }
 
 function cross(context, [x, y], text) {
-  for (const [color, thick] of [['#fff', 4], ['#c22f43', 1.5]]) {
-    context.beginPath();
+  redOnWhite(context, 1.5, () => {
     for (const [dx, dy] of [[10, 0], [0, 10]]) { context.moveTo(x - dx, y - dy); context.lineTo(x + dx, y + dy); }
-    context.strokeStyle = color;
-    context.lineWidth = thick;
-    context.stroke();
-  }
+  });
   if (text) written(context, text, [x, y]);
 }
 
@@ -513,24 +513,24 @@ function whereItCounts() {
 const here = () => nameOfPhoto.get(image.value) ?? image.value.split('/').pop();
 const marksHere = () => entries('scale').flatMap((entry, at) => ['a', 'b'].flatMap((name) => (entry[name] ?? []).filter((mark) => mark.image === here()).map((mark) => [`${at + 1}${name}`, [mark.x, mark.y]])));
 
+const unit = () => state.station.values.station?.unit ?? 'mm';
 const rounded = (value) => Math.round(10 * value) / 10;
 
-async function setMark(at) {
-  await (what.value === 'scale' ? setEnd(at) : setPoint(at));
-}
+// The marks of a point or end, with the one in this photo at another place.
+const marksWith = (marks, [x, y]) => [...(marks ?? []).filter((mark) => mark.image !== here()), { image: here(), x: rounded(x), y: rounded(y) }];
 
-async function setEnd([x, y]) {
+async function setEnd(at) {
   const all = entries('scale');
   const entry = all[end.distance];
   if (!entry) throw new Error('Add a known distance first, and choose which of its ends is marked.');
-  entry[end.name] = [...(entry[end.name] ?? []).filter((mark) => mark.image !== here()), { image: here(), x: rounded(x), y: rounded(y) }];
+  entry[end.name] = marksWith(entry[end.name], at);
   await store('scale', all);
 }
 
 function scaleSide() {
   const all = entries('scale');
   const row = (entry, at) => make('fieldset', {}, make('legend', {}, `distance ${at + 1}`),
-    make('label', {}, `length [${state.station.values.station?.unit ?? 'mm'}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = numberIn(event.target); return store('scale', all); }) })),
+    make('label', {}, `length [${unit()}] `, make('input', { type: 'number', step: 'any', value: entry.distance, change: doing((event) => { entry.distance = numberIn(event.target); return store('scale', all); }) })),
     ...['a', 'b'].map((name) => make('p', {}, button(`Mark end ${name}`, async () => { end = { distance: at, name }; tool = 'mark'; await examine(); drawTools(); drawSide(); stage.focus(); }, { 'aria-pressed': String(tool === 'mark' && end.distance === at && end.name === name) }),
       ` in ${(entry[name] ?? []).length} photos: ${(entry[name] ?? []).map((mark) => mark.image).join(', ') || 'none yet, two or more are needed'}`)),
     at === end.distance ? offTheLines() : null, fitOf(at),
@@ -567,12 +567,12 @@ const markOf = (entry) => polarized() ? entry.pixel : (entry.marks ?? []).filter
 const nameOf = (entry, at) => entry.name ?? String(at + 1);
 const pointsHere = () => entries('control').flatMap((entry, at) => markOf(entry) ? [[nameOf(entry, at), markOf(entry)]] : []);
 
-async function setPoint([x, y]) {
+async function setPoint(at) {
   const all = entries('control');
   const entry = all[point];
   if (!entry) throw new Error('Add a control point first, and choose which one is marked.');
-  if (polarized()) entry.pixel = [rounded(x), rounded(y)];
-  else entry.marks = [...(entry.marks ?? []).filter((mark) => mark.image !== here()), { image: here(), x: rounded(x), y: rounded(y) }];
+  if (polarized()) entry.pixel = at.map(rounded);
+  else entry.marks = marksWith(entry.marks, at);
   await store('control', all);
 }
 
@@ -634,9 +634,9 @@ const counted = (count, one, several) => `${count} ${count === 1 ? one : several
 function verdict() {
   const { image: seen, datum } = examined;
   const said = [];
-  const accuracy = seen?.center_sigma == null ? '' : `, ± ${seen.center_sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}`;
+  const accuracy = seen?.center_sigma == null ? '' : `, ± ${seen.center_sigma.toPrecision(2)} ${unit()}`;
   if (seen?.use === 'resection') said.push(`The camera's pose follows from ${counted(seen.points.filter((one) => !one.check).length, 'point', 'points')}${accuracy}.`);
-  if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'}.`);
+  if (datum) said.push(`Coordinates fit to ${datum.sigma.toPrecision(2)} ${unit()}.`);
   for (const found of [seen, datum]) if (found?.doubtful) said.push(`Without point ${found.doubtful} the other points fit far better: is its mark right?`);
   return said.join(' ') || 'Mark each point where the image shows it.';
 }
@@ -650,7 +650,7 @@ function fitOfPoint(name) {
     const off = seen.du_px === null ? Infinity : Math.hypot(seen.du_px, seen.dv_px);
     found.push(line(off > 3, seen.du_px === null ? 'Lies behind the camera.' : `Off by ${off.toFixed(1)} px in the polarized image.`));
   }
-  if (placed) found.push(line(placed.rms_px > 2, `Off by ${Math.hypot(...placed.offset).toPrecision(2)} ${state.station.values.station?.unit ?? 'mm'} in the photos; its marks fit to ${placed.rms_px.toFixed(2)} px.`));
+  if (placed) found.push(line(placed.rms_px > 2, `Off by ${Math.hypot(...placed.offset).toPrecision(2)} ${unit()} in the photos; its marks fit to ${placed.rms_px.toFixed(2)} px.`));
   return found;
 }
 

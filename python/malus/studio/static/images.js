@@ -1,5 +1,5 @@
 // Folders with thumbnails, and the table that makes a new station from chosen images.
-import { addressOf, ask, byId, doing, make, numberIn, once, tell } from './api.js';
+import { addressOf, ask, byId, doing, make, numberIn, once, picture, tell } from './api.js';
 import { createStation, openStation } from './open_station.js';
 import { showPage } from './pages.js';
 import { redraw } from './redraw.js';
@@ -124,12 +124,11 @@ async function preview() {
 }
 
 function previewParts(maps) {
-  const figure = (name, alt, text) => make('figure', {}, make('img', { src: maps[name], alt }), make('figcaption', {}, text));
   return [make('div', { class: 'maps' },
-    figure('intensity', 'Unpolarized intensity of the object', 'Intensity without polarization'),
-    figure('degree', 'Degree of polarization in colors', `Degree of polarization, 0 to ${maps.degree_top.toFixed(2)} (yellow); half of the image below ${maps.degree_median.toFixed(3)}`),
-    figure('phase', 'Phase in a circle of colors', 'Phase, 0° to 180° in a circle of colors: on a round object the colors run once around and back')),
-  ...maps.findings.map((finding) => make('p', { class: finding.severity === 'note' ? 'note' : finding.severity }, `${finding.message[0].toUpperCase()}${finding.message.slice(1)}. ${finding.suggestion}`)),
+    picture(maps.intensity, 'Unpolarized intensity of the object', 'Intensity without polarization'),
+    picture(maps.degree, 'Degree of polarization in colors', `Degree of polarization, 0 to ${maps.degree_top.toFixed(2)} (yellow); half of the image below ${maps.degree_median.toFixed(3)}`),
+    picture(maps.phase, 'Phase in a circle of colors', 'Phase, 0° to 180° in a circle of colors: on a round object the colors run once around and back')),
+  ...maps.findings.map((finding) => make('p', { class: finding.severity }, `${finding.message[0].toUpperCase()}${finding.message.slice(1)}. ${finding.suggestion}`)),
   make('p', { class: 'note' }, `Preview made in ${maps.seconds.toFixed(1)} s. Direction and zero of the scale are checked against the prior when the station runs.`)];
 }
 

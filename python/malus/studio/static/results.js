@@ -1,5 +1,5 @@
 // Finished results: their figures, comparison of two results or of two dates, profiles picked on a surface, and the report.
-import { addressOf, ask, byId, doing, length, make, tell } from './api.js';
+import { addressOf, ask, byId, doing, length, make, picture, tell } from './api.js';
 import { keepProfile, state } from './open_station.js';
 import { showPage } from './pages.js';
 
@@ -49,8 +49,8 @@ export function showReport(work, address) {
 }
 
 async function showBoth([a, b]) {
-  const figure = (path) => make('figure', {}, make('img', { src: addressOf('relief', { path }), alt: `Relief shading of the surface in ${path}` }), make('figcaption', {}, path));
-  const shown = make('div', {}, make('div', { class: 'pair' }, figure(a), figure(b)));
+  const relief = (path) => picture(addressOf('relief', { path }), `Relief shading of the surface in ${path}`, path);
+  const shown = make('div', {}, make('div', { class: 'pair' }, relief(a), relief(b)));
   present(`${a} and ${b}`, shown);
   try {
     const said = await ask('difference', { a, b });
@@ -81,9 +81,9 @@ function twoDates(a, b) {
 async function showProfile(result) {
   const start = [0.2 * result.width, 0.5 * result.height].map(Math.round), stop = [0.8 * result.width, 0.5 * result.height].map(Math.round);
   const inputs = [...start, ...stop].map((value, at) => make('input', { type: 'number', value, min: 0, 'aria-label': ['from x', 'from y', 'to x', 'to y'][at] }));
-  const picture = make('img', { src: addressOf('relief', { path: result.path }), alt: `Relief shading of ${result.path}; click two places to draw a profile between them, or type their pixel coordinates`, draggable: 'false' });
+  const shading = make('img', { src: addressOf('relief', { path: result.path }), alt: `Relief shading of ${result.path}; click two places to draw a profile between them, or type their pixel coordinates`, draggable: 'false' });
   const line = drawn('svg', { viewBox: `-0.5 -0.5 ${result.width} ${result.height}`, preserveAspectRatio: 'none', 'aria-hidden': 'true' });
-  const picked = make('div', { class: 'picked' }, picture, line);
+  const picked = make('div', { class: 'picked' }, shading, line);
   const chart = make('div');
   const ends = () => { const values = inputs.map((input) => Number(input.value)); return { from: values.slice(0, 2), to: values.slice(2) }; };
   const marked = (toSecond) => {
@@ -100,8 +100,8 @@ async function showProfile(result) {
     if (number === asked) chart.replaceChildren(...plots(section));
   });
   let second = false;
-  picture.addEventListener('click', (event) => {
-    const box = picture.getBoundingClientRect();
+  shading.addEventListener('click', (event) => {
+    const box = shading.getBoundingClientRect();
     const pixel = (share, count) => Math.min(Math.max(Math.floor(share * count), 0), count - 1);
     inputs[second ? 2 : 0].value = pixel((event.clientX - box.left) / box.width, result.width);
     inputs[second ? 3 : 1].value = pixel((event.clientY - box.top) / box.height, result.height);

@@ -1,6 +1,6 @@
 // The station's fields with the messages of the checks beside each field, the coarse surface over the image, and the text of the
 // station file.
-import { ask, byId, doing, duration, make, numberIn, say, tell } from './api.js';
+import { ask, byId, doing, duration, make, numberIn, picture, say, tell } from './api.js';
 import { change, changing, reread, state, take } from './open_station.js';
 import { showPage } from './pages.js';
 import { redraw } from './redraw.js';
@@ -222,8 +222,8 @@ byId('show-overlay').addEventListener('click', doing(async () => {
   const mine = pictures;
   try {
     const said = await ask('overlay', { path: state.station.path });
-    const picture = Object.assign(new Image(), { src: said.picture });
-    await picture.decode();
+    const points = Object.assign(new Image(), { src: said.picture });
+    await points.decode();
     if (mine !== pictures) return;
     byId('overlay-stage').hidden = false;
     view ??= new ImageView(byId('overlay-stage'));
@@ -233,7 +233,7 @@ byId('show-overlay').addEventListener('click', doing(async () => {
       context.globalAlpha = Number(byId('overlay-strength').value);
       view.inImage(context, () => {
         context.imageSmoothingEnabled = false;
-        context.drawImage(picture, 0, 0, picture.width * said.cell, picture.height * said.cell);
+        context.drawImage(points, 0, 0, points.width * said.cell, points.height * said.cell);
       });
     };
     view.redraw();
@@ -246,14 +246,13 @@ byId('show-phases').addEventListener('click', doing(async () => {
   const place = byId('phases');
   place.replaceChildren(make('p', { class: 'note' }, 'Comparing the phase with the slopes of the surface …'));
   const mine = pictures;
-  const figure = (picture, alt, caption) => make('figure', {}, make('img', { src: picture, alt }), make('figcaption', {}, caption));
   try {
     const said = await ask('phases', { path: state.station.path });
     if (mine !== pictures) return;
     const words = `${said.message[0].toUpperCase()}${said.message.slice(1)}.${said.suggestion ? ` To do: ${said.suggestion}${/[?.]$/.test(said.suggestion) ? '' : '.'}` : ''}`;
-    place.replaceChildren(make('p', { class: said.severity === 'note' ? 'note' : said.severity }, words), make('div', { class: 'maps' },
-      figure(said.measured, 'Phase as it was measured, in a circle of colors', 'Measured phase, with the present direction and zero of the scale'),
-      figure(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase expected from the coarse surface if it is matte. On mirroring parts the opposite color is measured: red for blue, dark for light')));
+    place.replaceChildren(make('p', { class: said.severity }, words), make('div', { class: 'maps' },
+      picture(said.measured, 'Phase as it was measured, in a circle of colors', 'Measured phase, with the present direction and zero of the scale'),
+      picture(said.expected, 'Phase as the coarse surface expects it, in a circle of colors', 'Phase expected from the coarse surface if it is matte. On mirroring parts the opposite color is measured: red for blue, dark for light')));
   } catch (error) {
     if (mine === pictures) place.replaceChildren(make('p', { class: 'error' }, error.message));
   }
