@@ -12,13 +12,13 @@ namespace {
 
 /// Robust cost of a pixel's polarization with the usual finish minus that with the other one.
 double gain_of_other_finish(const RefinementImage& image, int u, int v) {
-  const Eigen::Vector2d slopes = central_slopes(image, u, v);
+  const Slopes slopes = central_slopes(image, u, v);
   const RayFrame frame = image.frame_at(u, v);
   const ReflectionSample sample = sample_of(image.source->at(u, v), slopes, frame);
   const double variance = square(sample.sigma) + square(error_of_slopes(sample, Reflection::diffuse));
   const auto cost = [&](bool other) {
     const PixelReflection pixel(image.reflection, Reflection::diffuse, sample.s0, 0, frame, other);
-    const PredictedStokes m = pixel.predict(slopes[0], slopes[1]);
+    const PredictedStokes m = pixel.predict(slopes.p, slopes.q);
     return std::log1p((square(sample.s1 - m.s1) + square(sample.s2 - m.s2)) / (4 * variance));
   };
   return cost(false) - cost(true);

@@ -61,10 +61,10 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
         for (int u = column * finest_px; u < std::min((column + 1) * finest_px, part.size().width); ++u) {
           if (!part.object(u, v) || !part.usable(u, v)) continue;
           const double weight = stokes_weight(part, u, v);
-          const Eigen::Vector2d slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
+          const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
           const PixelReflection reflection = part.reflection_at(u, v);
-          const PredictedStokes result = reflection.predict(slopes[0], slopes[1]);
-          const PredictedStokes prior = reflection.predict(before[0], before[1]);
+          const PredictedStokes result = reflection.predict(slopes.p, slopes.q);
+          const PredictedStokes prior = reflection.predict(before.p, before.q);
           const double of_s0 = weight_of_s0(part, u, v);
           const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
           const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,

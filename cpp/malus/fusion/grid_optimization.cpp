@@ -144,13 +144,9 @@ class Tile {
   void add_equations(int u, int v) {
     const Reflection kind = input_.reflection.at(u, v);
     if (kind == Reflection::outside || !has(u, v)) return;
-    AffineSlopes slopes = slopes_of_height(&input_.prior.camera);
-    if (camera_ != nullptr) {
-      slopes = slopes_of_log_depth(*camera_, u, v);
-      const double scale = -1 / camera_->focal();
-      for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
-    }
     const RayFrame frame = ray_frame(camera_, u, v);
+    const AffineSlopes slopes = camera_ != nullptr ? slopes_of_log_depth(*camera_, frame, u, v, -camera_->focal())
+                                                   : slopes_of_height(&input_.prior.camera);
     const double azimuth = input_.polarization.phi(u, v) + (kind == Reflection::specular ? std::numbers::pi / 2 : 0.0);
     const double strength = input_.light.head<3>().norm();
     const Eigen::Vector3d light = input_.light.head<3>() / strength;

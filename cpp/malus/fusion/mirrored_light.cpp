@@ -24,8 +24,8 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
     for (int u = 0; u < size.width; ++u) {
       const bool diffuse = field.kind_at(u, v) == Reflection::diffuse;
       if (!field.object(u, v) || !(diffuse || field.usable(u, v))) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const double p = slopes[0], q = slopes[1], s0 = field.s0(u, v);
+      const Slopes slopes = central_slopes(field, u, v);
+      const double p = slopes.p, q = slopes.q, s0 = field.s0(u, v);
       const PredictedStokes model = field.reflection_at(u, v).predict(p, q);
       mirrored(u, v) = static_cast<float>(model.mirrored / 2);
       if (!diffuse || !field.usable(u, v)) continue;

@@ -65,24 +65,22 @@ class NodeSlopes {
         dv_(dv),
         exists_(around.has(du, dv) && around.has(du + 1, dv) && around.has(du, dv + 1) && around.has(du + 1, dv + 1)),
         frame_(field.frame_at(around.u(du), around.v(dv))),
-        slopes_(ray_slopes(field.camera, frame_, around.u(du), around.v(dv))) {
+        affine_(slopes_of_log_depth(field.camera, frame_, around.u(du), around.v(dv), field.camera.focal())) {
     if (!exists_) return;
     const double falling = around.value(du + 1, dv + 1) - around.value(du, dv);
     const double rising = around.value(du + 1, dv) - around.value(du, dv + 1);
-    const double xu = 0.5 * (falling + rising), xv = 0.5 * (falling - rising);
-    p_ = slopes_.p(xu, xv);
-    q_ = slopes_.q(xu, xv);
+    slopes_ = affine_(0.5 * (falling + rising), 0.5 * (falling - rising));
   }
 
   bool exists() const { return exists_; }
   const RayFrame& frame() const { return frame_; }
-  double p() const { return p_; }
-  double q() const { return q_; }
+  double p() const { return slopes_.p; }
+  double q() const { return slopes_.q; }
 
   /// Adds the derivatives of a residual by the nodes, from its derivatives by the slopes.
   void add(double** jacobians, int residual, double by_p, double by_q, const Neighbourhood& around) const {
-    const double by_u = 0.5 * (by_p * slopes_.pu + by_q * slopes_.qu),
-                 by_v = 0.5 * (by_p * slopes_.pv + by_q * slopes_.qv);
+    const double by_u = 0.5 * (by_p * affine_.per_u.p + by_q * affine_.per_u.q),
+                 by_v = 0.5 * (by_p * affine_.per_v.p + by_q * affine_.per_v.q);
     around.add(jacobians, residual, du_, dv_, -by_u - by_v);
     around.add(jacobians, residual, du_ + 1, dv_, by_u - by_v);
     around.add(jacobians, residual, du_, dv_ + 1, by_v - by_u);
@@ -93,8 +91,8 @@ class NodeSlopes {
   int du_, dv_;
   bool exists_;
   RayFrame frame_;
-  RaySlopes slopes_;
-  double p_ = 0, q_ = 0;
+  AffineSlopes affine_;
+  Slopes slopes_;
 };
 
 /// Quads that hold the nodes from (u, v) to (u + reach, v + reach).

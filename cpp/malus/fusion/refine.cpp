@@ -166,8 +166,8 @@ Eigen::Vector3d mean_normal(const RefinementImage& image) {
       const auto pixel =
           static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
       if (!image.pixels(u, v) || !is_chosen(pixel, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      sum += normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(image, u, v);
+      sum += image.frame_at(u, v).normal(slopes);
     }
   }
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);

@@ -27,7 +27,7 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v) || !field.usable(u, v) || field.kind_at(u, v) != Reflection::specular) continue;
-      const double tan2 = central_slopes(field, u, v).squaredNorm();
+      const double tan2 = central_slopes(field, u, v).tan2();
       const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
       const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
       body(u, v) = static_cast<float>(rest);
@@ -60,10 +60,10 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
       field.regional_weight(u, v) = 1;
       field.log_body(u, v) = none;
       if (!field.object(u, v) || !field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
+      const Slopes slopes = central_slopes(field, u, v);
       const RayFrame frame = field.frame_at(u, v);
       const double s0 = field.s0(u, v);
-      const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
       // Where a metal's s0 differs from the map's, its polarization differs by the same factor.
       const double dimmed = square(field.reflection.metal_error) * (square(m.s1) + square(m.s2));
@@ -75,7 +75,7 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
       if (field.kind_at(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) continue;
       field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
       out.log_albedo(u, v) =
-          static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes[0], slopes[1]).value);
+          static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes.p, slopes.q).value);
     }
   });
   return out;
@@ -114,7 +114,7 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
           if (!field.object(u, v)) continue;
           sum += field.x_prior(u, v);
           sigma += field.prior_sigma(u, v);
-          cos2 += 1 / (1 + central_slopes(field, u, v).squaredNorm());
+          cos2 += 1 / (1 + central_slopes(field, u, v).tan2());
           ++count;
         }
       }
@@ -180,8 +180,8 @@ double ResidualSummary::albedo_weight(const WeightOptions& options) {
 double stokes_weight(const RefinementField& field, int u, int v) {
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return 0;
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  const Slopes slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
   const double misfit = precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
   return field.regional_weight(u, v) / (1 + misfit / square(field.robust_scale_at(u, v)));
 }

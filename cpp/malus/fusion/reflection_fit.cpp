@@ -331,9 +331,9 @@ std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
 
 }  // namespace
 
-ReflectionSample sample_of(const PixelData& pixel, const Eigen::Vector2d& slopes, const RayFrame& frame) {
+ReflectionSample sample_of(const PixelData& pixel, const Slopes& slopes, const RayFrame& frame) {
   const double s0 = pixel.s0;
-  return {slopes[0], slopes[1], s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
+  return {slopes.p, slopes.q, s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
           frame};
 }
 
@@ -352,8 +352,8 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
       const std::size_t i =
           static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
       if (!takes_part(i) || !is_chosen(i, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      if (slopes.squaredNorm() > largest_tan2) continue;
+      const Slopes slopes = central_slopes(image, u, v);
+      if (slopes.tan2() > largest_tan2) continue;
       samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
       samples.back().other_finish = image.has_other_finish(u, v);
     }
@@ -370,7 +370,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     rows(i, 0) = 1;
-    rows.row(i).tail<3>() = normal_of(s.frame, s.p, s.q).transpose();
+    rows.row(i).tail<3>() = s.frame.normal({s.p, s.q}).transpose();
     values[i] = s.s0;
   }
   shading.harmonics.head<4>() = robust_fit(rows, values);
@@ -387,7 +387,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   Eigen::VectorXd values(count);
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
-    rows.row(i) = shading_basis(normal_of(s.frame, s.p, s.q)).transpose();
+    rows.row(i) = shading_basis(s.frame.normal({s.p, s.q})).transpose();
     const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
     values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
   }

@@ -20,8 +20,8 @@ Evidence collect_evidence(const RefinementField& field, const Context& context) 
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v) || !field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const double p = slopes[0], q = slopes[1], tan2 = p * p + q * q;
+      const Slopes slopes = central_slopes(field, u, v);
+      const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
       const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
       evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
       evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;

@@ -24,8 +24,8 @@ double cauchy(double squared, double scale) {
 double stokes_cost(const RefinementField& field, int u, int v) {
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return 0;
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  const Slopes slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
   return cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
                 field.robust_scale_at(u, v));
 }

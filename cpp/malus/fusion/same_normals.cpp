@@ -32,8 +32,8 @@ double distance_of_same_normals(const RefinementImage& image) {
       const auto pixel =
           static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
       if (!image.pixels(u, v) || !image.usable(u, v) || !is_chosen(pixel, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      const Eigen::Vector3d normal = normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(image, u, v);
+      const Eigen::Vector3d normal = image.frame_at(u, v).normal(slopes);
       const auto cell = [](double component) {
         return std::clamp(static_cast<int>((component + 1) * per_unit), 0, Surroundings::cells - 1);
       };

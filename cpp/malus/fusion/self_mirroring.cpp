@@ -30,9 +30,9 @@ bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, d
   constexpr double start = 1.5, step = 0.8, lift = 0.5, clear = 0.3;
   constexpr double growth = 0.03, farthest = 2, thickness = 0.35;
   const Pinhole& camera = image.camera;
-  const Eigen::Vector2d slopes = central_slopes(image, u, v);
+  const Slopes slopes = central_slopes(image, u, v);
   const RayFrame frame = image.frame_at(u, v);
-  const Eigen::Vector3d normal = normal_of(frame, slopes[0], slopes[1]);
+  const Eigen::Vector3d normal = frame.normal(slopes);
   const Eigen::Vector3d light = 2 * normal.dot(frame.view) * normal - frame.view;
   const double gsd = depths(u, v) / image.focal;
   const Eigen::Vector3d origin = camera.ray(u, v) * depths(u, v) + lift * gsd * normal;

@@ -44,10 +44,10 @@ void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int 
     for (int v = begin; v < end; ++v) {
       for (int u = 0; u < part.size().width; ++u) {
         if (!part.object(u, v) || !part.usable(u, v)) continue;
-        const Eigen::Vector2d slopes = central_slopes(part, u, v);
+        const Slopes slopes = central_slopes(part, u, v);
         const RayFrame frame = part.frame_at(u, v);
         const PixelReflection reflection = part.reflection_at(u, v, frame);
-        const PredictedStokes model = reflection.predict(slopes[0], slopes[1]);
+        const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
         const Slopes flat = frame.slopes(mean_normal_);
         const PredictedStokes plane = reflection.predict(flat.p, flat.q);
         Cell& cell = cells_(u / cell_px, row);
@@ -97,8 +97,8 @@ void ExplainedByResult::add(const RefinementField& part, RowRange rows, int firs
       for (int v = begin; v < end; ++v) {
         for (int u = column * cell_px; u < std::min((column + 1) * cell_px, part.size().width); ++u) {
           if (!part.object(u, v) || !part.usable(u, v)) continue;
-          const Eigen::Vector2d slopes = central_slopes(part, u, v);
-          const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
+          const Slopes slopes = central_slopes(part, u, v);
+          const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
           rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
           all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
         }

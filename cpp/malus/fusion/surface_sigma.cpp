@@ -19,11 +19,11 @@ double slope_variance(const RefinementField& field, int u, int v) {
   constexpr double unknown_slope = 0.5;  // where polarization is not used
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return square(unknown_slope);
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  const Slopes slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
   const double weight = precision * stokes_weight(field, u, v);
   const double steepness = 0.5 * (square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q));
-  const double stretch = 1 + slopes.squaredNorm();  // of depth over image distance, for the same angle
+  const double stretch = 1 + slopes.tan2();  // of depth over image distance, for the same angle
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
@@ -79,7 +79,7 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.object(u, v)) continue;
-      const double stretch = 1 + central_slopes(field, u, v).squaredNorm();
+      const double stretch = 1 + central_slopes(field, u, v).tan2();
       variance(u, v) = static_cast<float>(square(of_noise) * variance(u, v) +
                                           square(of_smoothing) * length4 * around(u, v) * stretch);
     }

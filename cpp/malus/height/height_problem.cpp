@@ -123,13 +123,9 @@ void HeightProblem::Term::add_row(const AffineSlopes& slopes, double p, double q
 }
 
 HeightProblem::Frame HeightProblem::frame_at(int u, int v) const {
-  AffineSlopes slopes = slopes_of_height(camera_);
-  if (rays_ != nullptr) {
-    slopes = slopes_of_log_depth(*rays_, u, v);
-    const double scale = -1 / rays_->focal();
-    for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
-  }
   const RayFrame frame = ray_frame(rays_, u, v);
+  const AffineSlopes slopes =
+      rays_ != nullptr ? slopes_of_log_depth(*rays_, frame, u, v, -rays_->focal()) : slopes_of_height(camera_);
   const Eigen::Vector3d light = light_.coefficients.head<3>();
   const auto single = [](double value) { return static_cast<float>(value); };
   return {single(slopes.constant.p),      single(slopes.constant.q),   single(slopes.per_u.p),

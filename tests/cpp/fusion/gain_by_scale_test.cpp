@@ -45,8 +45,8 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes light = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes light = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       field.s1(u, v) = static_cast<float>(light.s1 + gauss(random));
       field.s2(u, v) = static_cast<float>(light.s2 + gauss(random));
       if (model.metal_error > 0) field.s0(u, v) = static_cast<float>(light.mirrored * (1 + texture * gauss(random)));

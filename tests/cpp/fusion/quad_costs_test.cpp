@@ -177,7 +177,7 @@ TEST(CentralSlopes, AreExactForAParaboloidAndIgnoreACheckerboard) {
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) field.x(u, v) = height(u - 0.5, v - 0.5) + ((u + v) % 2 == 0 ? 1 : -1);
   }
-  const Eigen::Vector2d gradient = central_gradient(field, 12, 7);
+  const Eigen::Vector2d gradient = central_gradient(field, field.x, 12, 7);
   EXPECT_NEAR(gradient[0], 0.3 + 0.04 * 12 - 0.03 * 7, 1e-12);
   EXPECT_NEAR(gradient[1], -0.2 - 0.03 * 12 + 0.02 * 7, 1e-12);
 }

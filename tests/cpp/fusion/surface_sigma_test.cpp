@@ -49,8 +49,8 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
   RefinementField field = image.part(image.everything(), Context{});
   for (int v = 0; v < sigma_size.height; ++v) {
     for (int u = first_column; u < sigma_size.width; ++u) {
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       field.s1(u, v) = static_cast<float>(model.s1);
       field.s2(u, v) = static_cast<float>(model.s2);
     }
