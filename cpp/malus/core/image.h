@@ -19,6 +19,10 @@ struct Size {
   int height = 0;
 
   std::size_t area() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(height); }
+  /// Index of the pixel at column u, row v, counted row by row.
+  std::size_t index(int u, int v) const {
+    return static_cast<std::size_t>(v) * static_cast<std::size_t>(width) + static_cast<std::size_t>(u);
+  }
   bool operator==(const Size&) const = default;
 };
 
@@ -80,9 +84,7 @@ class Image {
   using Pixels = LargeVector<T>;
 
   std::size_t offset(int u, int v, int c) const {
-    return (static_cast<std::size_t>(v) * static_cast<std::size_t>(size_.width) + static_cast<std::size_t>(u)) *
-               static_cast<std::size_t>(channels_) +
-           static_cast<std::size_t>(c);
+    return size_.index(u, v) * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c);
   }
 
   Size size_;

@@ -15,10 +15,6 @@ double smoothing_of_cells(int cell_px) {
   return cell_px / std::sqrt(12.0);
 }
 
-Size cells_over(Size image, int cell_px) {
-  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
-}
-
 /// Factor that scales s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
 double weight_of_s0(const RefinementField& part, int u, int v) {
   const double error = part.reflection.metal_error * part.s0(u, v), precision = part.stokes_precision(u, v);
@@ -27,9 +23,7 @@ double weight_of_s0(const RefinementField& part, int u, int v) {
 
 Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
   constexpr double region_cells = 1.5;
-  Mask all(sums.size());
-  all.fill(255);
-  return masked_blur(sums, all, region_cells, context);
+  return masked_blur(sums, Mask(sums.size(), 1, 255), region_cells, context);
 }
 
 }  // namespace
@@ -48,11 +42,7 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     double weight;
     Stokes change, rest;
   };
-  const int first_cell = (first_row + rows.begin) / finest_px, last_cell = (first_row + rows.end - 1) / finest_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * finest_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * finest_px - first_row, rows.end);
+  for_each_row_of_cells(finest_px, rows, first_row, context, [&](int row, int begin, int end) {
     std::vector<Pixel> pixels;
     for (int column = 0; column < cells_.width(); ++column) {
       pixels.clear();
@@ -77,8 +67,7 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
       }
       if (cell.weight <= 0) continue;
       const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
-      const auto index =
-          static_cast<std::size_t>(row) * static_cast<std::size_t>(cells_.width()) + static_cast<std::size_t>(column);
+      const std::size_t index = cells_.size().index(column, row);
       for (const Pixel& pixel : pixels)
         within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
       cells_[index] += cell;
@@ -118,8 +107,7 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
   Gains gains;
   // All scales together on the raster of 16 px.
   constexpr int all_px = 16;
-  const Size all_cells{(cells_.width() * finest_px + all_px - 1) / all_px,
-                       (cells_.height() * finest_px + all_px - 1) / all_px};
+  const Size all_cells = cells_over({cells_.width() * finest_px, cells_.height() * finest_px}, all_px);
   Image<float> gained(all_cells), changed(all_cells);
   const auto take = [&](const Products& products, int cell_px, double of_rest) {
     gains.scales.push_back(gain_of(products, cell_px, of_rest, context));
@@ -147,12 +135,13 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
         if (cell.weight <= 0) continue;
         const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
         const Cell& parent = parents(column, row);
-        const auto index = static_cast<std::size_t>(row) * static_cast<std::size_t>(parents.width()) +
-                           static_cast<std::size_t>(column);
+        Stokes change = cell.change / cell.weight, rest = cell.rest / cell.weight;
         // The means of the largest cells have no coarser mean to subtract.
-        const Stokes change = parent.change / parent.weight, rest = parent.rest / parent.weight;
-        products.add(index, cell.weight, is_last ? change : cell.change / cell.weight - change,
-                     is_last ? rest : cell.rest / cell.weight - rest);
+        if (!is_last) {
+          change -= parent.change / parent.weight;
+          rest -= parent.rest / parent.weight;
+        }
+        products.add(parents.size().index(column, row), cell.weight, change, rest);
       }
     }
     take(products, is_last ? cell_px : 2 * cell_px, half);

@@ -1,8 +1,10 @@
 #pragma once
 
+#include <algorithm>
 #include <memory>
 
 #include "malus/core/context.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
@@ -50,5 +52,17 @@ struct StripField {
   RowRange rows;      ///< the requested rows, in the field
 };
 StripField strip_field(const RefinementImage& image, RowRange rows, int margin, const Context& context);
+
+/// Calls body(row, begin, end) for every row of cells over some rows of a part, on the context's threads: `row` counts
+/// from the image's first row of cells, and [begin, end) are the part's rows in it. `first_row`: the part's first row,
+/// in the image.
+template <class Body>
+void for_each_row_of_cells(int cell_px, RowRange rows, int first_row, const Context& context, Body&& body) {
+  const int first = (first_row + rows.begin) / cell_px, last = (first_row + rows.end - 1) / cell_px;
+  parallel_rows(context, last - first + 1, [&](int i) {
+    const int row = first + i;
+    body(row, std::max(row * cell_px - first_row, rows.begin), std::min((row + 1) * cell_px - first_row, rows.end));
+  });
+}
 
 }  // namespace malus

@@ -11,15 +11,10 @@
 namespace malus {
 namespace {
 
-Size cells_over(Size image, int cell_px) {
-  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
-}
-
 /// Weighted Gaussian mean of cells; 0 where no cell with weight is near.
 Image<float> pooled(const Image<float>& values, const Image<float>& weights, double sigma_cells,
                     const Context& context) {
-  Mask all(values.size());
-  all.fill(255);
+  const Mask all(values.size(), 1, 255);
   Image<float> products(values.size());
   for (std::size_t i = 0; i < values.count(); ++i) products[i] = weights[i] * values[i];
   Image<float> means = masked_blur(products, all, sigma_cells, context);
@@ -36,11 +31,7 @@ ExplainedPolarization::ExplainedPolarization(Size image, const Eigen::Vector3d& 
     : cells_(cells_over(image, cell_px)), mean_normal_(mean_normal) {}
 
 void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
-  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * cell_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
+  for_each_row_of_cells(cell_px, rows, first_row, context, [&](int row, int begin, int end) {
     for (int v = begin; v < end; ++v) {
       for (int u = 0; u < part.size().width; ++u) {
         if (!part.object(u, v) || !part.usable(u, v)) continue;
@@ -85,11 +76,7 @@ ExplainedByResult::ExplainedByResult(Size image)
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
-  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * cell_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
+  for_each_row_of_cells(cell_px, rows, first_row, context, [&](int row, int begin, int end) {
     std::vector<double> rests, all;
     for (int column = 0; column < shares_.width(); ++column) {
       rests.clear();

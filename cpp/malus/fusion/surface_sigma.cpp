@@ -90,11 +90,9 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
 /// Standard deviation due to the nearness of the contour [GSD]. The image's border is no contour.
 Image<float> contour_sigma(const RefinementField& field, const Context& context) {
   constexpr double near_px = 2, whole_gsd = 10;
-  Mask all(field.size());
-  all.fill(255);
   Image<float> inside(field.size());
   for (std::size_t i = 0; i < inside.count(); ++i) inside[i] = field.object[i] ? 1.0F : 0.0F;
-  Image<float> sigma = masked_blur(inside, all, near_px, context);
+  Image<float> sigma = masked_blur(inside, Mask(field.size(), 1, 255), near_px, context);
   for (float& value : sigma) value = static_cast<float>(whole_gsd * std::max(1.0 - value, 0.0));
   return sigma;
 }

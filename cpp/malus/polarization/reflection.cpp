@@ -50,7 +50,7 @@ class PooledEvidence {
   PooledEvidence(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                  const ReflectionOptions& options, const Context& context)
       : cell_px_(options.region_px) {
-    const Size cells{(state.size().width + cell_px_ - 1) / cell_px_, (state.size().height + cell_px_ - 1) / cell_px_};
+    const Size cells = cells_over(state.size(), cell_px_);
     Image<Evidence> sums(cells);
     parallel_for(context, static_cast<std::size_t>(cells.height), 1, [&](std::size_t row, std::size_t) {
       const int v0 = static_cast<int>(row) * cell_px_;
