@@ -26,6 +26,22 @@ inline double share_of_set(const Mask& pixels, double wanted) {
   return wanted / static_cast<double>(std::max<std::ptrdiff_t>(count_of_set(pixels), 1));
 }
 
+/// Calls visit(u, v) for about `wanted` of the set pixels, evenly chosen.
+template <class Visit>
+void for_each_chosen(const Mask& pixels, double wanted, Visit&& visit) {
+  const double share = share_of_set(pixels, wanted);
+  for (int v = 0; v < pixels.height(); ++v) {
+    for (int u = 0; u < pixels.width(); ++u) {
+      if (pixels(u, v) && is_chosen(pixels.size().index(u, v), share)) visit(u, v);
+    }
+  }
+}
+
+/// Side of a square of as many pixels as are set [px].
+inline double side_of_set(const Mask& pixels) {
+  return std::sqrt(static_cast<double>(count_of_set(pixels)));
+}
+
 /// Distance between sampled rows and columns: `of_image`, or less if that would leave fewer than `fewest` samples on a
 /// small object. An empty mask is the whole image.
 inline int stride_on(const Mask& object, int of_image, double fewest) {

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "malus/core/digits_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
@@ -280,8 +281,7 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
 double sparse_points_on_object(const PointCloud& cloud, const Eigen::Affine3d& given, const CloudCoverage& coverage,
                                const SceneView& view, const AlignmentScene& scene) {
   const double points = coverage.on_object * static_cast<double>(cloud.points.size());
-  const auto pixels = std::ranges::count_if(view.object, [](std::uint8_t pixel) { return pixel != 0; });
-  if (points >= sparse_points * static_cast<double>(pixels)) return 0;
+  if (points >= sparse_points * static_cast<double>(count_of_set(view.object))) return 0;
   const CoverageCounter coverage_of(scene.camera, scene.object, large_cells_per_side);
   return coverage_of(cloud, given).covered >= sparse_covers ? points : 0;
 }

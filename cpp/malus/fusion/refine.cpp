@@ -110,24 +110,12 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
   return lobe_gain;
 }
 
-/// Side of a square as large as the object [px].
-double object_side(const SurfaceEstimate& surface) {
-  return std::sqrt(
-      static_cast<double>(std::count_if(surface.object.begin(), surface.object.end(), [](auto m) { return m != 0; })));
-}
-
 /// Median s0 of the specular pixels, from a sample of large objects.
 double median_specular_s0(const RefinementImage& image) {
-  const double share = share_of_set(image.usable, 4e6);
   std::vector<float> values;
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const auto pixel =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (image.usable[pixel] && image.kind_at(u, v) == Reflection::specular && is_chosen(pixel, share))
-        values.push_back(image.source->at(u, v).s0);
-    }
-  }
+  for_each_chosen(image.usable, 4e6, [&](int u, int v) {
+    if (image.kind_at(u, v) == Reflection::specular) values.push_back(image.source->at(u, v).s0);
+  });
   return median_in_place(values);
 }
 
@@ -153,23 +141,11 @@ double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, d
   return length * std::clamp(length / (2 * prior.smoothing_px), 1.0, longest);
 }
 
-bool has_usable(const RefinementImage& image) {
-  return std::any_of(image.usable.begin(), image.usable.end(), [](auto m) { return m != 0; });
-}
-
 /// Mean normal of an even sample of the object's pixels, camera frame, facing the camera.
 Eigen::Vector3d mean_normal(const RefinementImage& image) {
-  const double share = share_of_set(image.pixels, 4e4);
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const auto pixel =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!image.pixels(u, v) || !is_chosen(pixel, share)) continue;
-      const Slopes slopes = central_slopes(image, u, v);
-      sum += image.frame_at(u, v).normal(slopes);
-    }
-  }
+  for_each_chosen(image.pixels, 4e4,
+                  [&](int u, int v) { sum += image.frame_at(u, v).normal(central_slopes(image, u, v)); });
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
 }
 
@@ -242,7 +218,7 @@ class Refiner {
     // explain the mirror image beyond what a plane explains, the light is therefore kept as fitted at them.
     is_mirror_known_ = mean_over_object(at_prior.shares(true, context_)) > nearly_all;
     const bool mirrors = specular_share(image_) > 0.5, is_mirror = mirrors && by_labels > options_.explained_least;
-    if (is_mirror || by_labels > well || !has_usable(image_)) return;
+    if (is_mirror || by_labels > well || count_of_set(image_.usable) == 0) return;
     const Image<std::uint8_t> labels = image_.kind;
     const Mask usable = image_.usable;
     const ReflectionModel model = image_.reflection;
@@ -297,7 +273,7 @@ class Refiner {
     mirrors_ = specular_share(image_) > worthwhile_share;
     searches_ = options_.search && mirrors_;
     // The search for other minima takes most of the time, and the regions that it finds are larger than a few pixels.
-    const bool coarse_first = searches_ && object_side(image_) >= 2 * options_.coarsest_px;
+    const bool coarse_first = searches_ && side_of_set(image_.object) >= 2 * options_.coarsest_px;
     if (coarse_first) {
       const double share = 0.4;
       const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};

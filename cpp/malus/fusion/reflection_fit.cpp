@@ -339,25 +339,17 @@ ReflectionSample sample_of(const PixelData& pixel, const Slopes& slopes, const R
 
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
                                               std::size_t largest_count) {
-  const auto takes_part = [&](std::size_t i) {
-    return image.usable[i] && image.kind[i] == static_cast<std::uint8_t>(kind);
-  };
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < image.usable.count(); ++i) count += takes_part(i);
-  const double share = static_cast<double>(largest_count) / static_cast<double>(std::max<std::size_t>(count, 1));
   constexpr double largest_tan2 = 6;  // steeper slopes, at the rim, are too uncertain
+  Mask of_kind(image.size());
+  for (std::size_t i = 0; i < of_kind.count(); ++i)
+    of_kind[i] = image.usable[i] && image.kind[i] == static_cast<std::uint8_t>(kind) ? 255 : 0;
   std::vector<ReflectionSample> samples;
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const std::size_t i =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!takes_part(i) || !is_chosen(i, share)) continue;
-      const Slopes slopes = central_slopes(image, u, v);
-      if (slopes.tan2() > largest_tan2) continue;
-      samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
-      samples.back().other_finish = image.has_other_finish(u, v);
-    }
-  }
+  for_each_chosen(of_kind, static_cast<double>(largest_count), [&](int u, int v) {
+    const Slopes slopes = central_slopes(image, u, v);
+    if (slopes.tan2() > largest_tan2) return;
+    samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
+    samples.back().other_finish = image.has_other_finish(u, v);
+  });
   return samples;
 }
 

@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "malus/core/bounding_box_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
 #include "malus/fusion/self_mirroring_internal.h"
@@ -63,8 +64,7 @@ Mask self_mirroring_pixels(const RefinementImage& image, const Context& context)
     return pixels;
   }
   const Image<double> depths = pixel_depths(image, context);
-  const double side = std::sqrt(
-      static_cast<double>(std::count_if(image.pixels.begin(), image.pixels.end(), [](auto m) { return m != 0; })));
+  const double side = side_of_set(image.pixels);
   parallel_rows(context, pixels.height(), [&](int v) {
     for (int u = 0; u < pixels.width(); ++u) {
       if (image.pixels(u, v) && mirrors_itself(image, depths, side, u, v)) pixels(u, v) = 255;

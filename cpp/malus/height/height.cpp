@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
@@ -218,16 +219,12 @@ bool is_whole(std::size_t pixels, const HeightOptions& options) {
   return pixels <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
 }
 
-std::size_t pixels_of(const Mask& object) {
-  return static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
-}
-
 /// Height of an object of any size: large ones are solved at half the resolution first, then in tiles. Only the
 /// object's own pixels count: with those around it, a small object in a large image would be halved until little of it
 /// is left.
 void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
                      const Context& context, HeightMap& map) {
-  if (is_whole(pixels_of(data.object), options)) {
+  if (is_whole(static_cast<std::size_t>(count_of_set(data.object)), options)) {
     solve_whole(data, options, light, context, map);
     return;
   }
@@ -262,7 +259,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   map.height = Image<float>(state.size(), 1, none);
 
   Mask valid = pixels_in(state, PixelState::valid);
-  if (std::none_of(valid.begin(), valid.end(), [](std::uint8_t value) { return value != 0; })) {
+  if (count_of_set(valid) == 0) {
     map.status = HeightStatus::no_valid_pixels;
     return map;
   }
@@ -292,7 +289,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 
   // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
   const Mask object = pixels_in(state, PixelState::saturated);
-  map.unknowns = pixels_of(object);
+  map.unknowns = static_cast<std::size_t>(count_of_set(object));
   const PixelRect all{0, 0, state.size().width, state.size().height};
   // The data of a whole raster take much memory, whatever the object's size.
   if (!is_whole(state.size().area(), options)) {

@@ -13,9 +13,7 @@ constexpr double smallest_cell_px = 2, usual_cell_px = 4;
 constexpr double min_tan2 = 0.0076;  // 5°
 
 int side_of_cells(const PolarizationState& state) {
-  std::size_t valid = 0;
-  for (const std::uint8_t pixel : state.valid) valid += pixel == static_cast<std::uint8_t>(PixelState::valid);
-  const auto count = static_cast<double>(valid);
+  const auto count = static_cast<double>(std::ranges::count(state.valid, static_cast<std::uint8_t>(PixelState::valid)));
   const double side = std::clamp(std::sqrt(count / wanted_cells), smallest_cell_px, usual_cell_px);
   return static_cast<int>(std::max(side, std::sqrt(count / most_cells)));
 }

@@ -8,6 +8,7 @@
 #include <numbers>
 #include <string>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/polarization/polarizer_fit_internal.h"
@@ -71,9 +72,8 @@ class Cells {
   Cells(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated,
         const Context& context)
       : count_(static_cast<Eigen::Index>(images.size())), parts_(parts_per_side * parts_per_side) {
-    std::size_t object = 0;
-    for (const std::uint8_t m : mask) object += m != 0;
-    side_ = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(object) / wanted_cells)), 1, largest_cell_px);
+    const auto object = static_cast<double>(count_of_set(mask));
+    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), 1, largest_cell_px);
     while (fill(images, noise, mask, saturated, context) < fewest_cells && side_ > 1) side_ /= 2;
   }
 
