@@ -11,6 +11,7 @@
 #include "malus/capture/noise_internal.h"
 #include "malus/capture/resampling_internal.h"
 #include "malus/capture/response_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -304,15 +305,6 @@ Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const 
   return std::move(merged);
 }
 
-double unsaturated_share(const Layer& layer, const Mask& object) {
-  double all = 0, good = 0;
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    all += object[i] != 0;
-    good += object[i] != 0 && layer.saturated[i] == 0;
-  }
-  return all > 0 ? good / all : 1;
-}
-
 /// Resamples the images into the stack, one per polarizer position.
 void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
                 const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
@@ -325,7 +317,7 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
       const ResamplingMap map(input.lens, maps[k]);
       layers.push_back(resample_layer(exposures, k, map, interpolation, stack.mask, context));
       ratios.push_back(exposure_ratio(input.polarized, k));
-      if (groups[g].size() > 1) unsaturated.push_back(unsaturated_share(layers.back(), stack.mask));
+      if (groups[g].size() > 1) unsaturated.push_back(1 - share_within(layers.back().saturated, stack.mask));
     }
     if (layers.size() > 1 && g == 0) stack.noise = merged_noise(exposures.noise, ratios, unsaturated);
     Layer layer =

@@ -8,17 +8,6 @@
 namespace malus {
 namespace {
 
-/// Pixel data stored as means of finer pixels.
-class CoarsePixels final : public PixelSource {
- public:
-  explicit CoarsePixels(Size size) : pixels_(Image<PixelData>::uninitialized(size)) {}
-  PixelData at(int u, int v) const override { return pixels_(u, v); }
-  PixelData& operator()(int u, int v) { return pixels_(u, v); }
-
- private:
-  Image<PixelData> pixels_;
-};
-
 /// Calls visit(u, v) for those fine pixels of a coarse pixel for which `counts` is set.
 template <class Visit>
 void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
@@ -56,7 +45,7 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
   PixelData pixel;
   int usable = 0;
   for_each_child(fine.usable, column, row, [&](int u, int v) {
-    const PixelData child = fine.source->at(u, v);
+    const PixelData child = fine.source(u, v);
     pixel.s0 += child.s0;
     pixel.s1 += child.s1;
     pixel.s2 += child.s2;
@@ -77,13 +66,12 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
 void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   int count = 0, specular = 0;
   for_each_child(fine.pixels, column, row, [&](int u, int v) {
-    specular += fine.kind_at(u, v) == Reflection::specular;
+    specular += fine.kind(u, v) == Reflection::specular;
     ++count;
   });
   if (count == 0) return;
   coarse.pixels(column, row) = 255;
-  coarse.kind(column, row) =
-      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
+  coarse.kind(column, row) = 2 * specular > count ? Reflection::specular : Reflection::diffuse;
 }
 
 }  // namespace
@@ -98,8 +86,8 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   const Size size{fine.size().width / 2 + 1, fine.size().height / 2 + 1};
   coarse.pixels = coarse.usable = Mask(size);
   coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
-  coarse.kind = Image<std::uint8_t>(size);
-  auto pixels = std::make_shared<CoarsePixels>(size);
+  coarse.kind = Image<Reflection>(size);
+  auto pixels = Image<PixelData>::uninitialized(size);
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) add_coarse_pixel(fine, coarse, column, row);
   });
@@ -107,15 +95,14 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   parallel_rows(context, size.height, [&](int row) {
     for (int column = 0; column < size.width; ++column) {
       if (!coarse.object(column, row)) continue;
-      PixelData& pixel = (*pixels)(column, row) = coarse_light(fine, coarse, column, row);
-      pixel.x_prior =
-          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).x_prior; }) / 2;
+      PixelData& pixel = pixels(column, row) = coarse_light(fine, coarse, column, row);
+      pixel.x_prior = at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).x_prior; }) / 2;
       pixel.prior_sigma = static_cast<float>(
-          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).prior_sigma; }) / 2);
+          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).prior_sigma; }) / 2);
       coarse.x(column, row) = coarse_x(fine, column, row);
     }
   });
-  coarse.source = std::move(pixels);
+  coarse.source = [means = std::move(pixels)](int u, int v) { return means(u, v); };
   return coarse;
 }
 

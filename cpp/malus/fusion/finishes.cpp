@@ -14,7 +14,7 @@ namespace {
 double gain_of_other_finish(const RefinementImage& image, int u, int v) {
   const Slopes slopes = central_slopes(image, u, v);
   const RayFrame frame = image.frame_at(u, v);
-  const ReflectionSample sample = sample_of(image.source->at(u, v), slopes, frame);
+  const ReflectionSample sample = sample_of(image.source(u, v), slopes, frame);
   const double variance = square(sample.sigma) + square(error_of_slopes(sample, Reflection::diffuse));
   const auto cost = [&](bool other) {
     const PixelReflection pixel(image.reflection, Reflection::diffuse, sample.s0, 0, frame, other);

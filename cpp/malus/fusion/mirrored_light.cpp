@@ -22,7 +22,7 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
   if (field.reflection.metal_error > 0) return mirrored;
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
-      const bool diffuse = field.kind_at(u, v) == Reflection::diffuse;
+      const bool diffuse = field.kind(u, v) == Reflection::diffuse;
       if (!field.object(u, v) || !(diffuse || field.usable(u, v))) continue;
       const Slopes slopes = central_slopes(field, u, v);
       const double p = slopes.p, q = slopes.q, s0 = field.s0(u, v);
@@ -43,7 +43,7 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
   constexpr float prior = static_cast<float>(misfit * misfit / (strength_sigma * strength_sigma));
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
-      if (!field.object(u, v) || field.kind_at(u, v) != Reflection::diffuse) continue;
+      if (!field.object(u, v) || field.kind(u, v) != Reflection::diffuse) continue;
       mirrored(u, v) *= std::clamp((mean_both(u, v) + prior) / (mean_own(u, v) + prior), 0.0F, 2.0F);
     }
   });

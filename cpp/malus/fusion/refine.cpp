@@ -47,27 +47,17 @@ std::vector<RowRange> rows_of(const std::vector<TileStrip>& strips) {
 
 void label_regions(RefinementImage& image, const RefineInput& input, const std::vector<RowRange>& strips,
                    const Context& context) {
-  switch (input.reflection) {
-    case ReflectionChoice::automatic:
-      label_reflection(image, strips, context);
-      return;
-    case ReflectionChoice::diffuse:
-      image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-      return;
-    case ReflectionChoice::specular:
-      image.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
-      return;
-    case ReflectionChoice::labels:
-      label_reflection(image, strips, context);
-      require_labels(input.labels, image.camera.size);
-      for (int v = 0; v < input.labels.height(); ++v) {
-        for (int u = 0; u < input.labels.width(); ++u) {
-          const int label = input.labels(u, v);
-          if (label == 1) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::diffuse);
-          if (label == 2) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::specular);
-        }
-      }
-      return;
+  if (input.reflection == ReflectionChoice::diffuse || input.reflection == ReflectionChoice::specular) {
+    image.kind.fill(input.reflection == ReflectionChoice::diffuse ? Reflection::diffuse : Reflection::specular);
+    return;
+  }
+  label_reflection(image, strips, context);
+  if (input.reflection != ReflectionChoice::labels) return;
+  require_labels(input.labels, image.camera.size);
+  for (int v = 0; v < input.labels.height(); ++v) {
+    for (int u = 0; u < input.labels.width(); ++u) {
+      if (input.labels(u, v) != 0) image.kind(u, v) = static_cast<Reflection>(input.labels(u, v));
+    }
   }
 }
 
@@ -114,7 +104,7 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
 double median_specular_s0(const RefinementImage& image) {
   std::vector<float> values;
   for_each_chosen(image.usable, 4e6, [&](int u, int v) {
-    if (image.kind_at(u, v) == Reflection::specular) values.push_back(image.source->at(u, v).s0);
+    if (image.kind(u, v) == Reflection::specular) values.push_back(image.source(u, v).s0);
   });
   return median_in_place(values);
 }
@@ -156,7 +146,7 @@ double change_at(const RefinementField& field, int u, int v) {
   static constexpr std::array<double, 4> cubic{-1.0 / 16, 9.0 / 16, 9.0 / 16, -1.0 / 16};
   const auto change = [&](int i, int j) { return field.x(i, j) - field.x_prior(i, j); };
   const double mean = 0.25 * (change(u, v) + change(u + 1, v) + change(u, v + 1) + change(u + 1, v + 1));
-  if (field.kind_at(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
+  if (field.kind(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
   double sum = 0;
   for (int j = 0; j < 4; ++j) {
     for (int i = 0; i < 4; ++i) {
@@ -219,10 +209,10 @@ class Refiner {
     is_mirror_known_ = mean_over_object(at_prior.shares(true, context_)) > nearly_all;
     const bool mirrors = specular_share(image_) > 0.5, is_mirror = mirrors && by_labels > options_.explained_least;
     if (is_mirror || by_labels > well || count_of_set(image_.usable) == 0) return;
-    const Image<std::uint8_t> labels = image_.kind;
+    const Image<Reflection> labels = image_.kind;
     const Mask usable = image_.usable;
     const ReflectionModel model = image_.reflection;
-    image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+    image_.kind.fill(Reflection::diffuse);
     leave_out_self_mirroring();
     // The regions' index was estimated with the other model.
     image_.reflection.eta = supposed_index();
@@ -278,7 +268,12 @@ class Refiner {
       const double share = 0.4;
       const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
       RefinementImage coarse = coarsened(image_, context_);
-      Refiner at_half(coarse, options_, report_, context_, coarse_range, 2 * binning_);
+      // Distances from the prior are smaller numbers in a larger GSD.
+      RefineOptions in_larger_gsd = options_;
+      in_larger_gsd.prior_weight *= 2;
+      in_larger_gsd.good_prior_weight *= 2;
+      in_larger_gsd.prior_robust_gsd /= 2;
+      Refiner at_half(coarse, in_larger_gsd, report_, context_, coarse_range, 2 * binning_);
       at_half.is_mirror_known_ = is_mirror_known_;
       total_ += at_half.run();
       take_over(image_, coarse, context_);
@@ -399,7 +394,7 @@ class Refiner {
           const bool is_noise = prior.noise > 0 || prior.sigma.empty();
           surface.sigma(u, v) = is_noise ? sigma(u, strip_v) : std::max(sigma(u, strip_v), prior.sigma(u, v));
           report_.mirrored(u, v) = mirrored(u, strip_v);
-          report_.label(u, v) = image_.kind(u, v);
+          report_.label(u, v) = static_cast<std::uint8_t>(image_.kind(u, v));
           report_.confidence(u, v) =
               static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));
         }
@@ -510,7 +505,7 @@ class Refiner {
     for (int v = 0; v < image_.size().height; ++v) {
       for (int u = 0; u < image_.size().width; ++u) {
         if (!image_.object(u, v)) continue;
-        within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source->at(u, v).prior_sigma;
+        within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
         ++count;
       }
     }
@@ -518,38 +513,22 @@ class Refiner {
   }
 
   WeightOptions weights(double widening, bool regional) const {
-    WeightOptions weights;
-    weights.robust_scale = options_.robust_scale;
-    weights.specular_widening = widening;
-    weights.relative_error = options_.relative_error;
-    weights.slope_error = options_.slope_error;
-    // Distances from the prior are smaller numbers in a larger GSD.
-    weights.prior_weight = binning_ * options_.prior_weight;
-    weights.good_prior_weight = binning_ * options_.good_prior_weight;
-    weights.prior_robust_gsd = options_.prior_robust_gsd / binning_;
-    weights.albedo_weight = options_.albedo_weight;
-    weights.albedo_contrast = options_.albedo_contrast;
     // If there is a light source that casts shadows and highlights, regions that fit badly are such.
     constexpr double telling_gain = 0.15, regional_sigma_px = 2;
-    if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
-      weights.regional_sigma_px = regional_sigma_px;
-    return weights;
+    const bool weighs_regions = regional && options_.regional_weights && lobe_gain_ > telling_gain;
+    return {options_, widening, weighs_regions ? regional_sigma_px : 0};
   }
 
   /// Pixels that mirror the object itself are not used: a map of the surroundings cannot explain them.
   void leave_out_self_mirroring() {
     constexpr double most = 0.5;  // above this share the prior is too inaccurate to decide
     const Mask self = self_mirroring_pixels(image_, context_);
-    double left_out = 0, all = 0;
-    for (std::size_t i = 0; i < self.count(); ++i) {
-      all += image_.usable[i] != 0;
-      left_out += image_.usable[i] && self[i];
-    }
-    if (left_out > most * all) return;
+    const double left_out = share_within(self, image_.usable);
+    if (left_out > most) return;
     for (std::size_t i = 0; i < self.count(); ++i) {
       if (self[i]) image_.usable[i] = 0;
     }
-    report_.self_mirroring_share = left_out / std::max(all, 1.0);
+    report_.self_mirroring_share = left_out;
   }
 
   double supposed_index() const { return stated_index_.value_or(ReflectionModel().eta); }
@@ -670,11 +649,10 @@ class Refiner {
     // One step per solve while the shared parameters still come from the prior's slopes. A map changes in every round.
     constexpr std::size_t careful_rounds = 2;
     const bool careful = image_.reflection.mirrored || report_.iterations.size() < careful_rounds;
-    TileOptions solver{careful ? 1 : options_.steps, options_.smoothness};
-    solver.prior_robust_gsd = options_.prior_robust_gsd / binning_;
     // Without this weight, errors that a map of hundreds of cells cannot explain would move the slopes.
     constexpr double slope_weight = 4;
-    if (image_.reflection.mirrored) solver.slope_weight = slope_weight;
+    const TileOptions solver{careful ? 1 : options_.steps, options_.smoothness,
+                             image_.reflection.mirrored ? slope_weight : 0, options_.prior_robust_gsd};
     std::vector<Tile> in_strip = tiles;
     for (Tile& tile : in_strip) tile = {tile.core.from(0, strip.first_row), tile.outer.from(0, strip.first_row)};
     const std::vector<TileSolution> solutions = solve_tiles(

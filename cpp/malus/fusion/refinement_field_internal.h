@@ -34,10 +34,10 @@ struct RefinementField : SurfaceEstimate {
   Size block_count() const { return cells_over(object.size(), prior_block_px); }
   PixelReflection reflection_at(int u, int v) const { return reflection_at(u, v, frame_at(u, v)); }
   PixelReflection reflection_at(int u, int v, const RayFrame& frame) const {
-    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame, has_other_finish(u, v)};
+    return {reflection, kind(u, v), s0(u, v), mirror_body(u, v), frame, has_other_finish(u, v)};
   }
   double robust_scale_at(int u, int v) const {
-    return kind_at(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;
+    return kind(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;
   }
 };
 

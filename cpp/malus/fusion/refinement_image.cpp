@@ -10,7 +10,7 @@ namespace {
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// Pixel data of a station.
-class StationPixels final : public PixelSource {
+class StationPixels {
  public:
   StationPixels(const PolarizationState& state, const DepthPrior& prior, Mask pixels, double log_depth_origin)
       : state_(state),
@@ -20,7 +20,7 @@ class StationPixels final : public PixelSource {
         log_depth_origin_(log_depth_origin),
         variances_(state) {}
 
-  PixelData at(int u, int v) const override {
+  PixelData operator()(int u, int v) const {
     PixelData pixel = node(u, v);
     if (!pixels_(u, v)) return pixel;
     const Eigen::Vector3d stokes = state_.stokes(u, v);
@@ -106,7 +106,7 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
   parallel_rows(context, size.height, [&](int v) {
     for (int u = 0; u < size.width; ++u) {
       const PixelData pixel =
-          field.object(u, v) ? source->at(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
+          field.object(u, v) ? source(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
       field.x_prior(u, v) = pixel.x_prior;
       field.prior_sigma(u, v) = pixel.prior_sigma;
       field.s0(u, v) = pixel.s0;
@@ -142,12 +142,12 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   });
   image.object = nodes_of(image.pixels);
   image.log_depth_origin = mean_log_depth(image.pixels, prior);
-  image.source = std::make_shared<StationPixels>(state, prior, image.pixels, image.log_depth_origin);
+  image.source = StationPixels(state, prior, image.pixels, image.log_depth_origin);
   image.x = Image<double>::uninitialized(nodes);
-  image.kind = Image<std::uint8_t>(nodes);
+  image.kind = Image<Reflection>(nodes);
   parallel_rows(context, nodes.height, [&](int v) {
     for (int u = 0; u < nodes.width; ++u)
-      image.x(u, v) = image.object(u, v) ? image.source->at(u, v).x_prior : static_cast<double>(none);
+      image.x(u, v) = image.object(u, v) ? image.source(u, v).x_prior : static_cast<double>(none);
   });
   return image;
 }

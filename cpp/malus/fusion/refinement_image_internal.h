@@ -1,7 +1,7 @@
 #pragma once
 
 #include <algorithm>
-#include <memory>
+#include <functional>
 
 #include "malus/core/context.h"
 #include "malus/core/parallel_internal.h"
@@ -18,18 +18,11 @@ struct PixelData {
   float s0 = 0, s1 = 0, s2 = 0, variance = 0;
 };
 
-/// Source of the pixels' data of a RefinementImage.
-class PixelSource {
- public:
-  virtual ~PixelSource() = default;
-  virtual PixelData at(int u, int v) const = 0;
-};
-
 /// The image that is refined. A field takes 60 bytes per pixel, and as much again while its weights are computed. Only
 /// the data that change from round to round are therefore kept for all pixels; a field is made for one part at a time.
 struct RefinementImage : SurfaceEstimate {
   Mask pixels;  ///< of the object, in the nodes' raster
-  std::shared_ptr<const PixelSource> source;
+  std::function<PixelData(int u, int v)> source;
 
   /// Field of a part with the present surface, without weights. The part's borders must be multiples of the prior
   /// blocks, or the image's.

@@ -26,7 +26,7 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
   Image<float> body(field.size(), 1, none), weight(field.size(), 1, none), product(field.size(), 1, none);
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v) || !field.usable(u, v) || field.kind_at(u, v) != Reflection::specular) continue;
+      if (!field.object(u, v) || !field.usable(u, v) || field.kind(u, v) != Reflection::specular) continue;
       const double tan2 = central_slopes(field, u, v).tan2();
       const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
       const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
@@ -46,8 +46,7 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
 }
 
 bool has_specular(const RefinementField& field) {
-  return std::find(field.kind.begin(), field.kind.end(), static_cast<std::uint8_t>(Reflection::specular)) !=
-         field.kind.end();
+  return std::find(field.kind.begin(), field.kind.end(), Reflection::specular) != field.kind.end();
 }
 
 PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& options, const Context& context) {
@@ -72,7 +71,7 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
       const double squared = 0.5 * (square(field.s1(u, v) - m.s1) + square(field.s2(u, v) - m.s2)) / variance;
       out.squared(u, v) = static_cast<float>(squared);
       field.stokes_precision(u, v) = static_cast<float>(1 / variance);
-      if (field.kind_at(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) continue;
+      if (field.kind(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) continue;
       field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
       out.log_albedo(u, v) =
           static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes.p, slopes.q).value);

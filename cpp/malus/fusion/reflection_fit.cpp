@@ -341,13 +341,12 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
                                               std::size_t largest_count) {
   constexpr double largest_tan2 = 6;  // steeper slopes, at the rim, are too uncertain
   Mask of_kind(image.size());
-  for (std::size_t i = 0; i < of_kind.count(); ++i)
-    of_kind[i] = image.usable[i] && image.kind[i] == static_cast<std::uint8_t>(kind) ? 255 : 0;
+  for (std::size_t i = 0; i < of_kind.count(); ++i) of_kind[i] = image.usable[i] && image.kind[i] == kind ? 255 : 0;
   std::vector<ReflectionSample> samples;
   for_each_chosen(of_kind, static_cast<double>(largest_count), [&](int u, int v) {
     const Slopes slopes = central_slopes(image, u, v);
     if (slopes.tan2() > largest_tan2) return;
-    samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
+    samples.push_back(sample_of(image.source(u, v), slopes, image.frame_at(u, v)));
     samples.back().other_finish = image.has_other_finish(u, v);
   });
   return samples;

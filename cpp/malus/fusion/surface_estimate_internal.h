@@ -24,15 +24,14 @@ struct SurfaceEstimate {
   Mask object;  ///< corner nodes of the object's pixels
   Mask usable;  ///< pixels whose polarization may be used; all their nodes exist
   Image<double> x;
-  Image<std::uint8_t> kind;  ///< Reflection
-  Mask other_finish;         ///< pixels with the finish of `reflection.mirrored_by_other`; empty = none
+  Image<Reflection> kind;
+  Mask other_finish;  ///< pixels with the finish of `reflection.mirrored_by_other`; empty = none
   ReflectionModel reflection;
   ShadingHarmonics shading = ShadingHarmonics::Unit(0);  ///< body light / albedo = shading · basis(n)
 
   Size size() const { return object.size(); }
   PixelRect everything() const { return {0, 0, size().width, size().height}; }
   bool is_object(int u, int v) const { return object.contains(u, v) && object(u, v) != 0; }
-  Reflection kind_at(int u, int v) const { return static_cast<Reflection>(kind(u, v)); }
   bool has_other_finish(int u, int v) const { return !other_finish.empty() && other_finish(u, v) != 0; }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
   double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }

@@ -118,7 +118,7 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
         for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
           if (!image.object(u, v)) continue;
           sum += x_prior(u, v) - image.x(u, v);
-          variance += std::pow(image.source->at(u, v).prior_sigma, 2);
+          variance += std::pow(image.source(u, v).prior_sigma, 2);
           ++nodes;
         }
       }
@@ -144,7 +144,7 @@ Image<float> deviations_from_prior(const RefinementImage& image, const Image<dou
     for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
       for (int u = 0; u < size.width; ++u) {
         if (!image.object(u, v)) continue;
-        const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source->at(u, v).prior_sigma;
+        const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source(u, v).prior_sigma;
         squares(u / cell_px, row) += static_cast<float>(square(deviation));
         weights(u / cell_px, row) += 1;
       }

@@ -17,6 +17,9 @@ namespace {
 
 static_assert(tile_ring_px == 2 * quad_px);
 
+/// Change of the slopes from the prior whose weight is halved.
+constexpr double slope_change = 0.1;
+
 /// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
 std::vector<int> borders(int length, int largest) {
   const int parts = std::max(1, (length + largest - 1) / largest);
@@ -38,7 +41,7 @@ class TileProblem {
         tile_(tile),
         local_(tile.outer.grown(tile_ring_px, field.size())),
         prior_loss_(options.prior_robust_gsd),
-        slope_loss_(std::max(options.slope_weight * options.slope_change, 1e-9)),
+        slope_loss_(std::max(options.slope_weight * slope_change, 1e-9)),
         albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
     columns_ = (local_.width() + 1) / quad_px;
     rows_ = (local_.height() + 1) / quad_px;
@@ -77,9 +80,7 @@ class TileProblem {
     ceres::Solve(solver, problem_.get(), &summary);
     statistics.cost_before = summary.initial_cost;
     statistics.cost_after = summary.initial_cost - stop.cost_change();
-    statistics.iterations = static_cast<int>(summary.iterations.size()) - 1;
     statistics.rejected_steps = summary.num_unsuccessful_steps;
-    statistics.failed_tiles = summary.IsSolutionUsable() ? 0 : 1;
     statistics.solver_seconds = summary.total_time_in_seconds;
     statistics.linear_solver_seconds = summary.linear_solver_time_in_seconds;
     return statistics;
@@ -247,7 +248,7 @@ class TileProblem {
       for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
         if (!field_.is_object(u, v)) continue;
         ++count;
-        if (field_.kind_at(u, v) != Reflection::diffuse || field_.reflection.mirrored) continue;
+        if (field_.kind(u, v) != Reflection::diffuse || field_.reflection.mirrored) continue;
         const double precision = field_.stokes_precision(u, v);
         sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
       }
@@ -364,9 +365,7 @@ std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size i
 SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   cost_before += other.cost_before;
   cost_after += other.cost_after;
-  iterations += other.iterations;
   rejected_steps += other.rejected_steps;
-  failed_tiles += other.failed_tiles;
   tiles += other.tiles;
   solver_seconds += other.solver_seconds;
   linear_solver_seconds += other.linear_solver_seconds;

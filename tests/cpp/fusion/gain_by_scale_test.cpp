@@ -30,7 +30,7 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
                             const ReflectionModel& model = matte_scene().model, double texture = 0) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   image.reflection = model;
   RefinementField field = image.part(image.everything(), Context{});
   field.stokes_precision.fill(1e4);

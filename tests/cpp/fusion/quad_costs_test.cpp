@@ -32,7 +32,7 @@ RefinementField rough_field(Reflection kind, const ReflectionModel& model = usua
     station.state.valid(u, v) = 0;
   const RefinementImage image = make_image(station.state, station.prior, Context{});
   RefinementField field = image.part(image.everything(), Context{});
-  field.kind.fill(static_cast<std::uint8_t>(kind));
+  field.kind.fill(kind);
   field.reflection = options.model;
   field.shading << 0.3, 0.1, -0.2, -0.6, 0.05, -0.1, 0.07, 0.04, -0.03;
   std::mt19937 random(5);

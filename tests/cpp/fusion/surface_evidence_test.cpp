@@ -128,7 +128,7 @@ TEST(Evidence, IsWeighedRegionByRegion) {
 
 /// The image as a diffuse body under the scene's light.
 RefinementField diffuse_field(RefinementImage& image) {
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   image.reflection = scene_under_a_sky().model;
   return image.part(image.everything(), Context{});
 }

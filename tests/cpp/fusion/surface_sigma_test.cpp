@@ -45,7 +45,7 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
     }
   }
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   RefinementField field = image.part(image.everything(), Context{});
   for (int v = 0; v < sigma_size.height; ++v) {
     for (int u = first_column; u < sigma_size.width; ++u) {

@@ -318,7 +318,7 @@ TEST(Surroundings, DoNotFollowASlowBendOfTheSurface) {
   scene.model.mirrored = truth;
   const SyntheticStation station = make_station(scene);
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   MapCourse held{{1.5}};
   held.slow_px = 8;
   held.x_prior = image.x;
