@@ -19,6 +19,12 @@ struct PixelRect {
     return {std::max(u0 - by, 0), std::max(v0 - by, 0), std::min(u1 + by, image.width),
             std::min(v1 + by, image.height)};
   }
+  /// Whether pixel (u, v) of this part of an image is among the `width` pixels along an edge beyond which the image
+  /// continues.
+  bool is_at_cut(int u, int v, int width, Size image) const {
+    return (u0 > 0 && u < u0 + width) || (v0 > 0 && v < v0 + width) || (u1 < image.width && u >= u1 - width) ||
+           (v1 < image.height && v >= v1 - width);
+  }
   /// The same pixels in the coordinates of an image whose top-left pixel is (u, v) here.
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
 };

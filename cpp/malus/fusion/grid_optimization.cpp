@@ -89,23 +89,18 @@ class CellMean final : public ceres::CostFunction {
   double share_, target_;
 };
 
-struct Box {
-  int u0, v0, u1, v1;  // ends are excluded
-};
-
 /// One tile of the problem.
 class Tile {
  public:
   Tile(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
-       const OptimizeInput& input, const OptimizeOptions& options, Box box)
+       const OptimizeInput& input, const OptimizeOptions& options, const PixelRect& box)
       : heights_(heights),
         prior_heights_(prior_heights),
         camera_(camera),
         input_(input),
         options_(options),
         box_(box),
-        width_(box.u1 - box.u0),
-        values_(static_cast<std::size_t>(width_) * static_cast<std::size_t>(box.v1 - box.v0)),
+        values_(box.size().area()),
         reached_(values_.size(), false) {
     for (int v = box.v0; v < box.v1; ++v)
       for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
@@ -134,10 +129,7 @@ class Tile {
   double value(int u, int v) const { return values_[index(u, v)]; }
 
  private:
-  std::size_t index(int u, int v) const {
-    return static_cast<std::size_t>(v - box_.v0) * static_cast<std::size_t>(width_) +
-           static_cast<std::size_t>(u - box_.u0);
-  }
+  std::size_t index(int u, int v) const { return box_.size().index(u - box_.u0, v - box_.v0); }
   double* at(int u, int v) { return &values_[index(u, v)]; }
   bool has(int u, int v) const { return std::isfinite(heights_(u, v)); }
 
@@ -215,12 +207,9 @@ class Tile {
   }
 
   void hold_surroundings() {
-    const Size size = heights_.size();
     for (int v = box_.v0; v < box_.v1; ++v) {
       for (int u = box_.u0; u < box_.u1; ++u) {
-        const bool is_held = (box_.u0 > 0 && u < box_.u0 + held_px) || (box_.v0 > 0 && v < box_.v0 + held_px) ||
-                             (box_.u1 < size.width && u >= box_.u1 - held_px) ||
-                             (box_.v1 < size.height && v >= box_.v1 - held_px);
+        const bool is_held = box_.is_at_cut(u, v, held_px, heights_.size());
         if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
       }
     }
@@ -230,8 +219,7 @@ class Tile {
   const Pinhole* camera_;  ///< null = orthographic
   const OptimizeInput& input_;
   const OptimizeOptions& options_;
-  const Box box_;
-  const int width_;
+  const PixelRect box_;
   std::vector<double> values_;
   std::vector<bool> reached_;  ///< by an equation
   ceres::Problem problem_;
@@ -255,35 +243,28 @@ void validate(const FusedSurface& surface, const OptimizeInput& input, const Opt
 Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
                          const OptimizeInput& input, const OptimizeOptions& options, int& unfinished,
                          const Context& context) {
-  const auto axis = [](int extent) {
-    return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
-  };
-  const TiledAxis columns = axis(heights.width()), rows = axis(heights.height());
-  const int tiles = columns.tiles() * rows.tiles();
+  const TiledImage tiled(heights.size(), tile_px, margin_px);
+  const int tiles = tiled.tiles();
   Image<float> result(heights.size(), 1, 0.0F);
   std::vector<std::unique_ptr<Tile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
   std::vector<char> converged(group.size());
   for (int first = 0; first < tiles; first += static_cast<int>(group.size())) {
     context.check_cancel();
     context.progress("fuse", 0.2 + 0.8 * first / tiles, "all equations together");
-    const auto box_of = [&](int tile) {
-      const int column = tile % columns.tiles(), row = tile / columns.tiles();
-      return Box{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-    };
     parallel_for(context, group.size(), 1, [&](std::size_t i, std::size_t) {
       const int tile = first + static_cast<int>(i);
       group[i].reset();
       if (tile >= tiles) return;
-      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, box_of(tile));
+      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, tiled.box(tile));
       converged[i] = group[i]->solve() ? 1 : 0;
     });
     for (std::size_t i = 0; i < group.size(); ++i) {
       if (!group[i]) continue;
-      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
-      const Box box = box_of(tile);
+      const int tile = first + static_cast<int>(i);
+      const PixelRect box = tiled.box(tile);
       for (int v = box.v0; v < box.v1; ++v) {
         for (int u = box.u0; u < box.u1; ++u) {
-          const double weight = columns.weight(column, u) * rows.weight(row, v);
+          const double weight = tiled.weight(tile, u, v);
           if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
         }
       }

@@ -176,13 +176,17 @@ double ResidualSummary::albedo_weight(const WeightOptions& options) {
   return square(options.albedo_weight * std::clamp(textured / std::max(spread, 1e-6), 1.0, most));
 }
 
-double stokes_weight(const RefinementField& field, int u, int v) {
+double squared_residual(const RefinementField& field, int u, int v) {
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return 0;
   const Slopes slopes = central_slopes(field, u, v);
   const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
-  const double misfit = precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
-  return field.regional_weight(u, v) / (1 + misfit / square(field.robust_scale_at(u, v)));
+  return precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
+}
+
+double stokes_weight(const RefinementField& field, int u, int v) {
+  if (field.stokes_precision(u, v) <= 0) return 0;
+  return field.regional_weight(u, v) / (1 + squared_residual(field, u, v) / square(field.robust_scale_at(u, v)));
 }
 
 }  // namespace malus

@@ -49,6 +49,10 @@ class ResidualSummary {
   std::vector<float> squared_, albedo_steps_;
 };
 
+/// Squared residual of a pixel's (s1, s2) at the current surface, in units of their variance; 0 where polarization is
+/// not used.
+double squared_residual(const RefinementField& field, int u, int v);
+
 /// Weight, 0 … 1, that the robust loss leaves to a pixel's Stokes residuals at the current surface; 0 where
 /// polarization is not used.
 double stokes_weight(const RefinementField& field, int u, int v);

@@ -21,15 +21,6 @@ double cauchy(double squared, double scale) {
   return square(scale) * std::log1p(squared / square(scale));
 }
 
-double stokes_cost(const RefinementField& field, int u, int v) {
-  const double precision = field.stokes_precision(u, v);
-  if (precision <= 0) return 0;
-  const Slopes slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
-  return cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
-                field.robust_scale_at(u, v));
-}
-
 /// Adds to every pixel its share of its prior block's cost.
 void add_prior_costs(const RefinementField& field, const WeightOptions& options, Image<float>& costs) {
   for (int row = 0; row < field.block_count().height; ++row) {
@@ -111,7 +102,8 @@ Image<float> pixel_costs(const RefinementField& field, const WeightOptions& opti
   Image<float> costs(field.size());
   parallel_rows(context, field.size().height, [&](int v) {
     for (int u = 0; u < field.size().width; ++u) {
-      if (field.object(u, v)) costs(u, v) = static_cast<float>(stokes_cost(field, u, v));
+      if (!field.object(u, v)) continue;
+      costs(u, v) = static_cast<float>(cauchy(squared_residual(field, u, v), field.robust_scale_at(u, v)));
     }
   });
   add_prior_costs(field, options, costs);

@@ -108,22 +108,13 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
     map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
 }
 
-/// One axis of an image in tiles. Pixels next to a tile's edge are held to the start, so they get weight 0 in the
-/// blend.
-TiledAxis tiled(int extent) {
-  return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
-}
-
 /// Holds to the start those pixels along a tile's edges beyond which the image continues.
-void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size whole) {
+void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
   constexpr int ring_px = GridSystem::reach;
   tile.ring_height = Image<float>(tile.size(), 1, none);
-  for (int v = 0; v < box.height(); ++v) {
-    for (int u = 0; u < box.width(); ++u) {
-      const bool on_ring = (box.u0 > 0 && u < ring_px) || (box.v0 > 0 && v < ring_px) ||
-                           (box.u1 < whole.width && u >= box.width() - ring_px) ||
-                           (box.v1 < whole.height && v >= box.height() - ring_px);
-      if (on_ring) tile.ring_height(u, v) = start(box.u0 + u, box.v0 + v);
+  for (int v = box.v0; v < box.v1; ++v) {
+    for (int u = box.u0; u < box.u1; ++u) {
+      if (box.is_at_cut(u, v, ring_px, start.size())) tile.ring_height(u - box.u0, v - box.v0) = start(u, v);
     }
   }
 }
@@ -172,33 +163,28 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
 void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
-  const TiledAxis columns = tiled(size.width), rows = tiled(size.height);
-  const auto box_of = [&](std::size_t k) {
-    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    return PixelRect{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-  };
-  std::vector<TileResult> results(static_cast<std::size_t>(columns.tiles()) * static_cast<std::size_t>(rows.tiles()));
+  const TiledImage tiles(size, tile_px, margin_px);
+  std::vector<TileResult> results(static_cast<std::size_t>(tiles.tiles()));
   // One thread per tile, so that the tile's vectors stay in that core's cache.
   Context inner = context;
   inner.threads = 1;
   inner.on_progress = {};
   parallel_for(context, results.size(), 1, [&](std::size_t k, std::size_t) {
-    HeightData data = tile(box_of(k));
-    hold_ring(data, start, box_of(k), size);
-    results[k] = solve_tile(data, start, box_of(k), options, light, inner);
+    const PixelRect box = tiles.box(static_cast<int>(k));
+    HeightData data = tile(box);
+    hold_ring(data, start, box);
+    results[k] = solve_tile(data, start, box, options, light, inner);
   });
 
   map.height = Image<float>(size, 1, 0.0F);
   double squares = 0, changes = 0, pixels = 0;
   int steps = 0;
-  for (std::size_t k = 0; k < results.size(); ++k) {
-    const TileResult& result = results[k];
-    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    const PixelRect box = box_of(k);
+  for (int k = 0; k < tiles.tiles(); ++k) {
+    const TileResult& result = results[static_cast<std::size_t>(k)];
+    const PixelRect box = tiles.box(k);
     parallel_rows(context, box.height(), [&](int y) {
-      const double along_v = rows.weight(row, box.v0 + y);
       for (int x = 0; x < box.width(); ++x) {
-        const auto weight = static_cast<float>(along_v * columns.weight(column, box.u0 + x));
+        const auto weight = static_cast<float>(tiles.weight(k, box.u0 + x, box.v0 + y));
         if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
       }
     });
