@@ -12,6 +12,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/disjoint_sets_internal.h"
 #include "malus/core/fields.h"
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
@@ -230,17 +231,6 @@ struct Transfer {
   }
 };
 
-/// Mean of the finite values.
-double mean_of(const Image<float>& values) {
-  double sum = 0, count = 0;
-  for (const float value : values) {
-    if (!std::isfinite(value)) continue;
-    sum += value;
-    ++count;
-  }
-  return sum / count;
-}
-
 /// Throws a data error with the reason if no height was found.
 void require_height(const HeightMap& height) {
   if (std::any_of(height.height.begin(), height.height.end(), [](float h) { return std::isfinite(h); })) return;
@@ -292,7 +282,7 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   if (height.status != HeightStatus::converged) surface.warnings.push_back(caution_of_moving_height(height));
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());
-  const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);
+  const double mean_depth = height.perspective ? 0 : finite_mean(prior.depth, context);
   parallel_rows(context, coarse.height(), [&](int v) {
     for (int u = 0; u < coarse.width(); ++u) {
       const float before = coarse(u, v);

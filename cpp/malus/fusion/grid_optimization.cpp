@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
@@ -139,7 +140,7 @@ class Tile {
     const RayFrame frame = ray_frame(camera_, u, v);
     const AffineSlopes slopes = camera_ != nullptr ? slopes_of_log_depth(*camera_, frame, u, v, -camera_->focal())
                                                    : slopes_of_height(&input_.prior.camera);
-    const double azimuth = input_.polarization.phi(u, v) + (kind == Reflection::specular ? std::numbers::pi / 2 : 0.0);
+    const double azimuth = azimuth_of(kind, input_.polarization.phi(u, v));
     const double strength = input_.light.head<3>().norm();
     const Eigen::Vector3d light = input_.light.head<3>() / strength;
     const double shading = (input_.polarization.i_un(u, v) - input_.light[3]) / strength;
@@ -283,13 +284,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
   const double focal = camera.focal();
   const Pinhole* rays = input.perspective ? &camera : nullptr;
   // Both heights refer to one origin, because each height has its own free constant.
-  double origin = 0, count = 0;
-  for (const float z : input.prior.depth) {
-    if (!std::isfinite(z)) continue;
-    origin += z;
-    ++count;
-  }
-  origin /= count;
+  const double origin = finite_mean(input.prior.depth, context);
   const auto height_of = [&](float z) {
     return static_cast<float>(input.perspective ? -focal * std::log(z / origin) : focal * (1 - z / origin));
   };

@@ -88,24 +88,28 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
   return HeightStatus::iteration_limit;
 }
 
+/// Raster of the unknowns' heights, NaN elsewhere.
+Image<float> raster_of(const Eigen::VectorXd& height, const PixelIndex& pixels) {
+  Image<float> raster(pixels.size(), 1, none);
+  for (int i = 0; i < pixels.count(); ++i) raster(pixels.u(i), pixels.v(i)) = static_cast<float>(height[i]);
+  return raster;
+}
+
 /// Height of a raster by systems that cover all its pixels.
 void solve_whole(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
                  HeightMap& map) {
   HeightProblem problem(data, options, light, context);
   Eigen::VectorXd height;
-  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
-  const SolveStatus linear = problem.solve_linear(literal, height);
+  const SolveStatus linear = problem.solve_linear(options.method == HeightMethod::literal, height);
   map.iterations = 1;
   map.solver_bytes = problem.solver_bytes();
   map.solver_iterations = problem.solver_iterations();
   map.status = linear == SolveStatus::solved ? HeightStatus::converged : HeightStatus::singular;
-  if (likelihood && map.status == HeightStatus::converged)
+  if (options.method == HeightMethod::likelihood && map.status == HeightStatus::converged)
     map.status = maximize_likelihood(problem, options, context, height, map);
   if (map.status == HeightStatus::singular) return;
-  map.residual_rms = problem.residual_rms(height, literal, likelihood);
-  map.height = Image<float>(data.size(), 1, none);
-  for (int i = 0; i < problem.unknowns(); ++i)
-    map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
+  map.residual_rms = problem.residual_rms(height);
+  map.height = raster_of(height, problem.pixels());
 }
 
 /// Holds to the start those pixels along a tile's edges beyond which the image continues.
@@ -119,24 +123,17 @@ void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
   }
 }
 
-/// Result of one step in a tile.
-struct TileResult {
-  Image<float> height;
-  HeightMap map;
-  double squares = 0;
-  std::size_t pixels = 0;
-};
-
-TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
-                      const HeightLight& light, const Context& context) {
-  TileResult result;
-  result.height = Image<float>(tile.size(), 1, none);
-  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
+/// One step in a tile.
+HeightMap solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
+                     const HeightLight& light, const Context& context) {
+  const bool likelihood = options.method == HeightMethod::likelihood;
   // The likelihood takes one step from a good start, by conjugate gradients: a factorization would take four times as
   // long.
   HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
-  result.pixels = static_cast<std::size_t>(problem.unknowns());
-  if (problem.unknowns() == 0) return result;
+  HeightMap map;
+  map.height = Image<float>(tile.size(), 1, none);
+  map.unknowns = static_cast<std::size_t>(problem.unknowns());
+  if (problem.unknowns() == 0) return map;
   Eigen::VectorXd height(problem.unknowns());
   for (int i = 0; i < problem.unknowns(); ++i)
     height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
@@ -144,18 +141,17 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
   if (likelihood) {
     // One step is enough: the start lacks only the finest detail.
     double cost = problem.linearize(height);
-    step(problem, height, cost, result.map);
-  } else if (Eigen::VectorXd solution = height; problem.solve_linear(literal, solution) == SolveStatus::solved) {
-    result.map.iterations = 1;
+    step(problem, height, cost, map);
+  } else if (Eigen::VectorXd solution = height;
+             problem.solve_linear(options.method == HeightMethod::literal, solution) == SolveStatus::solved) {
+    map.iterations = 1;
     height = solution;
   }
-  result.map.solver_bytes = problem.solver_bytes();
-  result.map.solver_iterations = problem.solver_iterations();
-  for (int i = 0; i < problem.unknowns(); ++i) {
-    result.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
-    result.squares += likelihood ? problem.likelihood_square(i, height) : problem.linear_square(i, height, literal);
-  }
-  return result;
+  map.solver_bytes = problem.solver_bytes();
+  map.solver_iterations = problem.solver_iterations();
+  map.residual_rms = problem.residual_rms(height);
+  map.height = raster_of(height, problem.pixels());
+  return map;
 }
 
 /// One step in tiles from a start at the raster's resolution. tile(box) returns a tile's data. Sets map.height to the
@@ -164,7 +160,7 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
   const TiledImage tiles(size, tile_px, margin_px);
-  std::vector<TileResult> results(static_cast<std::size_t>(tiles.tiles()));
+  std::vector<HeightMap> results(static_cast<std::size_t>(tiles.tiles()));
   // One thread per tile, so that the tile's vectors stay in that core's cache.
   Context inner = context;
   inner.threads = 1;
@@ -180,7 +176,7 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
   double squares = 0, changes = 0, pixels = 0;
   int steps = 0;
   for (int k = 0; k < tiles.tiles(); ++k) {
-    const TileResult& result = results[static_cast<std::size_t>(k)];
+    const HeightMap& result = results[static_cast<std::size_t>(k)];
     const PixelRect box = tiles.box(k);
     parallel_rows(context, box.height(), [&](int y) {
       for (int x = 0; x < box.width(); ++x) {
@@ -188,12 +184,13 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
         if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
       }
     });
-    squares += result.squares;
-    changes += result.map.last_update * result.map.last_update * static_cast<double>(result.pixels);
-    pixels += static_cast<double>(result.pixels);
-    steps = std::max(steps, result.map.iterations);
-    map.solver_iterations += result.map.solver_iterations;
-    map.solver_bytes = std::max(map.solver_bytes, context.threads * result.map.solver_bytes);
+    const auto unknowns = static_cast<double>(result.unknowns);
+    squares += unknowns * result.residual_rms * result.residual_rms;
+    changes += unknowns * result.last_update * result.last_update;
+    pixels += unknowns;
+    steps = std::max(steps, result.iterations);
+    map.solver_iterations += result.solver_iterations;
+    map.solver_bytes = std::max(map.solver_bytes, context.threads * result.solver_bytes);
   }
   map.iterations += steps;
   map.residual_rms = std::sqrt(squares / std::max(pixels, 1.0));
@@ -219,10 +216,6 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
   const Image<float> start = refined_height(map.height, data.object, context);
   solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
 }
-
-}  // namespace
-
-namespace {
 
 /// The light from the first available source: an earlier estimate, the prior's normals, or polarization alone.
 LightEstimate light_of(const HeightInput& input, const Mask& valid, const Pinhole* camera, const LightOptions& options,

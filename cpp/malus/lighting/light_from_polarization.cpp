@@ -45,8 +45,7 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Reflectio
     for (int u = 0; u < state.size().width; ++u) {
       if (!usable(u, v) || next++ % stride != 0) continue;
       const RayFrame frame = ray_frame(camera, u, v);
-      const bool specular = reflection.at(u, v) == Reflection::specular;
-      const double azimuth = state.phi(u, v) + (specular ? std::numbers::pi / 2 : 0.0);
+      const double azimuth = azimuth_of(reflection.at(u, v), state.phi(u, v));
       const double zenith = reflection.zenith(u, v);
       samples.push_back({std::cos(zenith) * frame.view,
                          std::sin(zenith) * (std::cos(azimuth) * frame.right + std::sin(azimuth) * frame.up),
