@@ -9,11 +9,12 @@
 #include "malus/core/error.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
 
-using Order = std::vector<std::size_t>;
+using Order = std::vector<Eigen::Index>;
 
 constexpr std::size_t min_samples = 200, most_permuted = 8;
 /// Of 82 rendered stations in the right order none exceeds 1.3; of 82 with two images exchanged 75 exceed
@@ -24,7 +25,7 @@ constexpr double about_as_well = 1.2;
 
 std::size_t moved(const Order& order) {
   std::size_t count = 0;
-  for (std::size_t k = 0; k < order.size(); ++k) count += order[k] != k;
+  for (std::size_t k = 0; k < order.size(); ++k) count += order[k] != static_cast<Eigen::Index>(k);
   return count;
 }
 
@@ -38,14 +39,7 @@ Eigen::MatrixXd products_of(const PixelSamples& samples) {
 
 /// Σ squared residuals if image k has angle number order[k].
 double misfit_of(const Order& order, const Eigen::MatrixXd& projection, const Eigen::MatrixXd& products) {
-  double misfit = 0;
-  for (std::size_t j = 0; j < order.size(); ++j) {
-    for (std::size_t k = 0; k < order.size(); ++k) {
-      misfit += projection(static_cast<Eigen::Index>(order[j]), static_cast<Eigen::Index>(order[k])) *
-                products(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k));
-    }
-  }
-  return std::max(misfit, 0.0);
+  return std::max(projection(order, order).cwiseProduct(products).sum(), 0.0);
 }
 
 /// The least misfit of all orders that are tried, and the orders among which the best is found; the given one is first.
@@ -126,7 +120,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
         "or more, and an object of some hundred pixels that are neither dark nor saturated";
     return result;
   }
-  const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(angles_rad);
+  const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(polarizer_rows(angles_rad));
   const TriedOrders tried = images.size() <= most_permuted ? all_orders(projection, products, context)
                                                            : exchanges(projection, products, context);
   // Of orders that fit about as well, choose the one that moves the fewest images.
@@ -147,7 +141,8 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
     finding.message = "the images are in the order of their angles, as far as the sinusoid tells";
     return result;
   }
-  for (std::size_t k = 0; k < images.size(); ++k) result.angles_rad[k] = angles_rad[tried.orders[best].order[k]];
+  for (std::size_t k = 0; k < images.size(); ++k)
+    result.angles_rad[k] = angles_rad[static_cast<std::size_t>(tried.orders[best].order[k])];
   std::ostringstream text;
   text << std::fixed << std::setprecision(result.misfit_ratio < 10 ? 1 : 0);
   text << "the images do not seem to be in the order of their angles: in another order the squared misfit of the "

@@ -1,10 +1,8 @@
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
-#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
@@ -28,18 +26,6 @@ bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u,
 }
 
 }  // namespace
-
-Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad) {
-  const Eigen::MatrixXd rows = polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
-  return rows.completeOrthogonalDecomposition().pseudoInverse();
-}
-
-Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad) {
-  const std::vector<double> gains(angles_rad.size(), 1.0);
-  const auto count = static_cast<Eigen::Index>(angles_rad.size());
-  return Eigen::MatrixXd::Identity(count, count) -
-         polarizer_rows(angles_rad, gains) * stokes_of_intensities(angles_rad);
-}
 
 PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px) {
   PixelSamples samples;

@@ -7,12 +7,6 @@
 
 namespace malus {
 
-/// (s0, s1, s2) by least squares from intensities at these angles.
-Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad);
-
-/// Projection of values at these angles to their residuals from the least-squares sinusoid.
-Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad);
-
 /// Values of sampled pixels in all images: means over windows none of whose pixels is dark or nearly saturated.
 struct PixelSamples {
   std::vector<Eigen::VectorXd> values;

@@ -1,4 +1,3 @@
-#include <Eigen/QR>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -6,6 +5,7 @@
 #include "malus/core/error.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/evidence/response_check_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
@@ -25,8 +25,9 @@ struct Sums {
 /// Σ r · h and Σ h · h by parts of the image, with residuals r and second harmonics h, each pixel divided by its
 /// intensity.
 std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
-  const Eigen::MatrixXd projection = residual_projection(angles_rad);
-  const Eigen::Matrix3Xd inverse = stokes_of_intensities(angles_rad);
+  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad);
+  const Eigen::MatrixXd projection = residual_projection(rows);
+  const Eigen::Matrix3Xd inverse = stokes_of_intensities(rows);
   std::array<Sums, PixelSamples::part_count> sums;
   Eigen::VectorXd bent(static_cast<Eigen::Index>(angles_rad.size()));
   for (std::size_t i = 0; i < samples.values.size(); ++i) {
