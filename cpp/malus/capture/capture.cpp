@@ -258,12 +258,10 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
 Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& context) {
   if (map.is_identity()) return mask;
   Mask result(mask.size());
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      const Eigen::Vector2d at = map(u, v);
-      if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) continue;
-      result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
-    }
+  parallel_pixels(context, mask.size(), [&](int u, int v) {
+    const Eigen::Vector2d at = map(u, v);
+    if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) return;
+    result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
   });
   return result;
 }

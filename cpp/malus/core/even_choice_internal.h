@@ -40,11 +40,9 @@ inline double share_of_set(const Mask& pixels, double wanted) {
 template <class Visit>
 void for_each_chosen(const Mask& pixels, double wanted, Visit&& visit) {
   const double share = share_of_set(pixels, wanted);
-  for (int v = 0; v < pixels.height(); ++v) {
-    for (int u = 0; u < pixels.width(); ++u) {
-      if (pixels(u, v) && is_chosen(pixels.size().index(u, v), share)) visit(u, v);
-    }
-  }
+  for_each_pixel(pixels, [&](int u, int v) {
+    if (is_chosen(pixels.size().index(u, v), share)) visit(u, v);
+  });
 }
 
 /// Side of a square of as many pixels as are set [px].

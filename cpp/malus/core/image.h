@@ -95,6 +95,20 @@ class Image {
 /// Binary raster: non-zero = set (object, valid, …). One channel.
 using Mask = Image<std::uint8_t>;
 
+/// Calls body(u, v) row by row for the pixels of a raster, or for those that are set in a mask.
+template <class Body>
+void for_each_pixel(Size size, Body&& body) {
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) body(u, v);
+  }
+}
+template <class Body>
+void for_each_pixel(const Mask& mask, Body&& body) {
+  for_each_pixel(mask.size(), [&](int u, int v) {
+    if (mask(u, v) != 0) body(u, v);
+  });
+}
+
 /// Throws an input error that names the raster unless it has this size.
 template <class T>
 void require_size(const Image<T>& image, Size expected, const std::string& name) {

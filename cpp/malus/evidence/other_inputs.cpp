@@ -12,13 +12,11 @@ namespace {
 template <class T>
 Image<T> undone(const Image<T>& image, const ImageTurn& turn) {
   Image<T> result(image.size(), image.channels());
-  for (int v = 0; v < image.height(); ++v) {
-    for (int u = 0; u < image.width(); ++u) {
-      const int from_u = turn.exchanges ? v : u, from_v = turn.exchanges ? u : v;
-      result(u, v) = image(turn.flips_u ? image.width() - 1 - from_u : from_u,
-                           turn.flips_v ? image.height() - 1 - from_v : from_v);
-    }
-  }
+  for_each_pixel(image.size(), [&](int u, int v) {
+    const int from_u = turn.exchanges ? v : u, from_v = turn.exchanges ? u : v;
+    result(u, v) =
+        image(turn.flips_u ? image.width() - 1 - from_u : from_u, turn.flips_v ? image.height() - 1 - from_v : from_v);
+  });
   return result;
 }
 

@@ -39,14 +39,11 @@ struct Outline {
 Outline outline_of(const Mask& object) {
   Outline outline;
   double count = 0;
-  for (int v = 0; v < object.height(); ++v) {
-    for (int u = 0; u < object.width(); ++u) {
-      if (object(u, v) == 0) continue;
-      ++count;
-      outline.center_u += u;
-      outline.center_v += v;
-    }
-  }
+  for_each_pixel(object, [&](int u, int v) {
+    ++count;
+    outline.center_u += u;
+    outline.center_v += v;
+  });
   if (count == 0) return outline;
   outline.center_u /= count;
   outline.center_v /= count;

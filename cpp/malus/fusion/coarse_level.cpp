@@ -92,15 +92,12 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
     for (int column = 0; column < size.width; ++column) add_coarse_pixel(fine, coarse, column, row);
   });
   coarse.object = nodes_of(coarse.pixels);
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) {
-      if (!coarse.object(column, row)) continue;
-      PixelData& pixel = pixels(column, row) = coarse_light(fine, coarse, column, row);
-      pixel.x_prior = at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).x_prior; }) / 2;
-      pixel.prior_sigma = static_cast<float>(
-          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).prior_sigma; }) / 2);
-      coarse.x(column, row) = coarse_x(fine, column, row);
-    }
+  parallel_pixels(context, coarse.object, [&](int column, int row) {
+    PixelData& pixel = pixels(column, row) = coarse_light(fine, coarse, column, row);
+    pixel.x_prior = at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).x_prior; }) / 2;
+    pixel.prior_sigma = static_cast<float>(
+        at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).prior_sigma; }) / 2);
+    coarse.x(column, row) = coarse_x(fine, column, row);
   });
   coarse.source = [means = std::move(pixels)](int u, int v) { return means(u, v); };
   return coarse;
@@ -108,26 +105,21 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
 
 void take_over(RefinementImage& fine, const RefinementImage& coarse, const Context& context) {
   Image<double> change(coarse.size());
-  parallel_rows(context, change.height(), [&](int row) {
-    for (int column = 0; column < change.width(); ++column) {
-      if (coarse.object(column, row)) change(column, row) = coarse.x(column, row) - coarse_x(fine, column, row);
-    }
+  parallel_pixels(context, coarse.object, [&](int column, int row) {
+    change(column, row) = coarse.x(column, row) - coarse_x(fine, column, row);
   });
-  parallel_rows(context, fine.size().height, [&](int v) {
-    for (int u = 0; u < fine.size().width; ++u) {
-      if (!fine.object(u, v)) continue;
-      const double at_u = u / 2.0, at_v = v / 2.0;
-      const int column = u / 2, row = v / 2;
-      double sum = 0, weights = 0;
-      for (int k = 0; k < 4; ++k) {
-        const int i = column + k % 2, j = row + k / 2;
-        if (!coarse.is_object(i, j)) continue;
-        const double weight = (1 - std::abs(at_u - i)) * (1 - std::abs(at_v - j));
-        sum += weight * change(i, j);
-        weights += weight;
-      }
-      fine.x(u, v) += 2 * sum / weights;  // at least one coarse node is always on the object
+  parallel_pixels(context, fine.object, [&](int u, int v) {
+    const double at_u = u / 2.0, at_v = v / 2.0;
+    const int column = u / 2, row = v / 2;
+    double sum = 0, weights = 0;
+    for (int k = 0; k < 4; ++k) {
+      const int i = column + k % 2, j = row + k / 2;
+      if (!coarse.is_object(i, j)) continue;
+      const double weight = (1 - std::abs(at_u - i)) * (1 - std::abs(at_v - j));
+      sum += weight * change(i, j);
+      weights += weight;
     }
+    fine.x(u, v) += 2 * sum / weights;  // at least one coarse node is always on the object
   });
   fine.reflection = coarse.reflection;
   fine.shading = coarse.shading;

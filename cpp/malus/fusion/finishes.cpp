@@ -30,11 +30,8 @@ Mask pixels_of_other_finish(const RefinementImage& image, const Context& context
   // The mean over neighbors keeps noise and wrong slopes of single pixels from looking like a finish.
   constexpr double neighbors_px = 4, clearly = 0.1;
   Image<float> gain(image.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, gain.height(), [&](int v) {
-    for (int u = 0; u < gain.width(); ++u) {
-      if (image.usable(u, v)) gain(u, v) = static_cast<float>(gain_of_other_finish(image, u, v));
-    }
-  });
+  parallel_pixels(context, image.usable,
+                  [&](int u, int v) { gain(u, v) = static_cast<float>(gain_of_other_finish(image, u, v)); });
   const Image<float> mean = masked_blur(gain, image.pixels, neighbors_px, context);
   Mask other(image.size());
   for (std::size_t i = 0; i < other.count(); ++i) other[i] = image.pixels[i] && mean[i] > clearly ? 255 : 0;

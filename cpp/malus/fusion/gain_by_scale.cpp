@@ -114,14 +114,12 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
     const Image<float>& gain = gains.scales.back().gain;
     const double pixels = square(static_cast<double>(cell_px));
     const Image<float> nearby = summed_nearby(products.dd, context);
-    for (int v = 0; v < all_cells.height; ++v) {
-      for (int u = 0; u < all_cells.width; ++u) {
-        const int x = u * all_px + all_px / 2, y = v * all_px + all_px / 2;
-        const double change = between_cells(nearby, cell_px, x, y) / pixels;
-        changed(u, v) += static_cast<float>(change);
-        gained(u, v) += static_cast<float>(change * between_cells(gain, cell_px, x, y));
-      }
-    }
+    for_each_pixel(all_cells, [&](int u, int v) {
+      const int x = u * all_px + all_px / 2, y = v * all_px + all_px / 2;
+      const double change = between_cells(nearby, cell_px, x, y) / pixels;
+      changed(u, v) += static_cast<float>(change);
+      gained(u, v) += static_cast<float>(change * between_cells(gain, cell_px, x, y));
+    });
   };
   take(within_, finest_px, of_pixels);
   Image<Cell> cells = cells_;
@@ -129,21 +127,19 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
     const bool is_last = cell_px == coarsest_px;
     const Image<Cell> parents = is_last ? cells : parents_of(cells);
     Products products(parents.size());
-    for (int v = 0; v < cells.height(); ++v) {
-      for (int u = 0; u < cells.width(); ++u) {
-        const Cell& cell = cells(u, v);
-        if (cell.weight <= 0) continue;
-        const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
-        const Cell& parent = parents(column, row);
-        Stokes change = cell.change / cell.weight, rest = cell.rest / cell.weight;
-        // The means of the largest cells have no coarser mean to subtract.
-        if (!is_last) {
-          change -= parent.change / parent.weight;
-          rest -= parent.rest / parent.weight;
-        }
-        products.add(parents.size().index(column, row), cell.weight, change, rest);
+    for_each_pixel(cells.size(), [&](int u, int v) {
+      const Cell& cell = cells(u, v);
+      if (cell.weight <= 0) return;
+      const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
+      const Cell& parent = parents(column, row);
+      Stokes change = cell.change / cell.weight, rest = cell.rest / cell.weight;
+      // The means of the largest cells have no coarser mean to subtract.
+      if (!is_last) {
+        change -= parent.change / parent.weight;
+        rest -= parent.rest / parent.weight;
       }
-    }
+      products.add(parents.size().index(column, row), cell.weight, change, rest);
+    });
     take(products, is_last ? cell_px : 2 * cell_px, half);
     cells = parents;
   }
@@ -167,12 +163,9 @@ Image<float> movement_that_is_gain(const RefinementImage& image, const Image<dou
     const Image<float> coarser =
         is_last ? Image<float>(size)
                 : masked_blur(finer, image.object, std::sqrt(square(next_px) - square(smoothed_px)), context);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image.object(u, v)) continue;
-        const double gain = between_cells(scale.gain, scale.cell_px, u, v);
-        gained(u, v) += static_cast<float>(gain * (finer(u, v) - coarser(u, v)));
-      }
+    parallel_pixels(context, image.object, [&](int u, int v) {
+      const double gain = between_cells(scale.gain, scale.cell_px, u, v);
+      gained(u, v) += static_cast<float>(gain * (finer(u, v) - coarser(u, v)));
     });
     finer = coarser;
     smoothed_px = next_px;

@@ -54,11 +54,9 @@ void label_regions(RefinementImage& image, const RefineInput& input, const std::
   label_reflection(image, strips, context);
   if (input.reflection != ReflectionChoice::labels) return;
   require_labels(input.labels, image.camera.size);
-  for (int v = 0; v < input.labels.height(); ++v) {
-    for (int u = 0; u < input.labels.width(); ++u) {
-      if (input.labels(u, v) != 0) image.kind(u, v) = static_cast<Reflection>(input.labels(u, v));
-    }
-  }
+  for_each_pixel(input.labels.size(), [&](int u, int v) {
+    if (input.labels(u, v) != 0) image.kind(u, v) = static_cast<Reflection>(input.labels(u, v));
+  });
 }
 
 MirroredTerms mirrored_terms(const RefineOptions& options) {
@@ -311,20 +309,17 @@ class Refiner {
     // The slopes from a dielectric's formulas are wrong for a metal, however well they fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
     const GainByScale::Gains gains = gain_of_movement(x_prior);
-    parallel_rows(context_, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image_.object(u, v)) continue;
-        const auto share = [&](const Image<float>& cells) {
-          return between_cells(cells, ExplainedPolarization::cell_px, u, v);
-        };
-        const double trust = is_metal || !settled ? 0
-                             : explained_as_metal ? share(in_metal)
-                             : with_map           ? trust_with_surroundings(share(shares), share(after))
-                                                  : trust_of(share(shares), share(after));
-        const double gained = trust_of_gain(between_cells(gains.all.gain, gains.all.cell_px, u, v));
-        if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
-        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
-      }
+    parallel_pixels(context_, image_.object, [&](int u, int v) {
+      const auto share = [&](const Image<float>& cells) {
+        return between_cells(cells, ExplainedPolarization::cell_px, u, v);
+      };
+      const double trust = is_metal || !settled ? 0
+                           : explained_as_metal ? share(in_metal)
+                           : with_map           ? trust_with_surroundings(share(shares), share(after))
+                                                : trust_of(share(shares), share(after));
+      const double gained = trust_of_gain(between_cells(gains.all.gain, gains.all.cell_px, u, v));
+      if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
+      image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
     });
     anchor_to_prior(image_, x_prior, std::min(anchor_length_px(prior, image_, options_.anchor), longest_wave_px_),
                     context_);
@@ -347,14 +342,11 @@ class Refiner {
   void stay_near_prior(const Image<double>& x_prior) {
     constexpr double allowed = 3, too_far = 5;
     const Image<float> deviations = deviations_from_prior(image_, x_prior, context_);
-    parallel_rows(context_, image_.size().height, [&](int v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
-        const double trust = 1 - ramp(deviation, allowed, too_far);
-        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
-        report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
-      }
+    parallel_pixels(context_, image_.object, [&](int u, int v) {
+      const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
+      const double trust = 1 - ramp(deviation, allowed, too_far);
+      image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
+      report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
     });
   }
 
@@ -502,13 +494,10 @@ class Refiner {
   /// Share of the object within two of the prior's standard deviations of the prior.
   double within_prior_errors(const Image<double>& x_prior) const {
     double within = 0, count = 0;
-    for (int v = 0; v < image_.size().height; ++v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
-        ++count;
-      }
-    }
+    for_each_pixel(image_.object, [&](int u, int v) {
+      within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
+      ++count;
+    });
     return within / std::max(count, 1.0);
   }
 
@@ -582,13 +571,10 @@ class Refiner {
 
   double mean_over_object(const Image<float>& cells) const {
     double sum = 0, count = 0;
-    for (int v = 0; v < image_.size().height; ++v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
-        ++count;
-      }
-    }
+    for_each_pixel(image_.object, [&](int u, int v) {
+      sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
+      ++count;
+    });
     return sum / count;
   }
 

@@ -73,13 +73,10 @@ class StationPixels {
 
 double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
   double sum = 0, count = 0;
-  for (int v = 0; v < prior.depth.height(); ++v) {
-    for (int u = 0; u < prior.depth.width(); ++u) {
-      if (!pixels(u, v)) continue;
-      sum += std::log(static_cast<double>(prior.depth(u, v)));
-      ++count;
-    }
-  }
+  for_each_pixel(pixels, [&](int u, int v) {
+    sum += std::log(static_cast<double>(prior.depth(u, v)));
+    ++count;
+  });
   if (count == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
   return sum / count;
 }
@@ -103,20 +100,18 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
   for (Image<float>* raster : {&field.prior_sigma, &field.s0, &field.s1, &field.s2, &field.variance, &field.mirror_body,
                                &field.stokes_precision, &field.regional_weight, &field.log_body})
     *raster = Image<float>::uninitialized(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const PixelData pixel =
-          field.object(u, v) ? source(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
-      field.x_prior(u, v) = pixel.x_prior;
-      field.prior_sigma(u, v) = pixel.prior_sigma;
-      field.s0(u, v) = pixel.s0;
-      field.s1(u, v) = pixel.s1;
-      field.s2(u, v) = pixel.s2;
-      field.variance(u, v) = pixel.variance;
-      field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
-      field.regional_weight(u, v) = 1;
-      field.log_body(u, v) = none;
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    const PixelData pixel =
+        field.object(u, v) ? source(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
+    field.x_prior(u, v) = pixel.x_prior;
+    field.prior_sigma(u, v) = pixel.prior_sigma;
+    field.s0(u, v) = pixel.s0;
+    field.s1(u, v) = pixel.s1;
+    field.s2(u, v) = pixel.s2;
+    field.variance(u, v) = pixel.variance;
+    field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
+    field.regional_weight(u, v) = 1;
+    field.log_body(u, v) = none;
   });
   field.block_weight = field.block_mean = Image<float>(field.block_count());
   return field;
@@ -131,14 +126,12 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   image.focal = prior.camera.focal();
   const Size nodes{size.width + 1, size.height + 1};
   image.pixels = image.usable = Mask(nodes);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
-      if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) continue;
-      image.pixels(u, v) = 255;
-      const Eigen::Vector3d stokes = state.stokes(u, v);
-      image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
+    if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) return;
+    image.pixels(u, v) = 255;
+    const Eigen::Vector3d stokes = state.stokes(u, v);
+    image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
   });
   image.object = nodes_of(image.pixels);
   image.log_depth_origin = mean_log_depth(image.pixels, prior);

@@ -17,15 +17,13 @@ struct Evidence {
 Evidence collect_evidence(const RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   Evidence evidence{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v) || !field.usable(u, v)) continue;
-      const Slopes slopes = central_slopes(field, u, v);
-      const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
-      const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
-      evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
-      evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;
-    }
+  parallel_pixels(context, field.size(), [&](int u, int v) {
+    if (!field.object(u, v) || !field.usable(u, v)) return;
+    const Slopes slopes = central_slopes(field, u, v);
+    const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
+    const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
+    evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
+    evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;
   });
   return evidence;
 }

@@ -23,30 +23,28 @@ double cauchy(double squared, double scale) {
 
 /// Adds to every pixel its share of its prior block's cost.
 void add_prior_costs(const RefinementField& field, const WeightOptions& options, Image<float>& costs) {
-  for (int row = 0; row < field.block_count().height; ++row) {
-    for (int column = 0; column < field.block_count().width; ++column) {
-      if (field.block_weight(column, row) <= 0) continue;
-      const int u0 = column * prior_block_px, u1 = std::min(u0 + prior_block_px, field.size().width);
-      const int v0 = row * prior_block_px, v1 = std::min(v0 + prior_block_px, field.size().height);
-      double sum = 0;
-      int count = 0;
-      for (int v = v0; v < v1; ++v) {
-        for (int u = u0; u < u1; ++u) {
-          if (!field.object(u, v)) continue;
-          sum += field.x(u, v);
-          ++count;
-        }
-      }
-      const double squared = square(sum / count - field.block_mean(column, row));
-      const auto share =
-          static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
-      for (int v = v0; v < v1; ++v) {
-        for (int u = u0; u < u1; ++u) {
-          if (field.object(u, v)) costs(u, v) += share;
-        }
+  for_each_pixel(field.block_count(), [&](int column, int row) {
+    if (field.block_weight(column, row) <= 0) return;
+    const int u0 = column * prior_block_px, u1 = std::min(u0 + prior_block_px, field.size().width);
+    const int v0 = row * prior_block_px, v1 = std::min(v0 + prior_block_px, field.size().height);
+    double sum = 0;
+    int count = 0;
+    for (int v = v0; v < v1; ++v) {
+      for (int u = u0; u < u1; ++u) {
+        if (!field.object(u, v)) continue;
+        sum += field.x(u, v);
+        ++count;
       }
     }
-  }
+    const double squared = square(sum / count - field.block_mean(column, row));
+    const auto share =
+        static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
+    for (int v = v0; v < v1; ++v) {
+      for (int u = u0; u < u1; ++u) {
+        if (field.object(u, v)) costs(u, v) += share;
+      }
+    }
+  });
 }
 
 /// Object pixels within `radius` (4-neighborhood steps) of the set pixels.
@@ -54,14 +52,12 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
   Mask result = mask;
   for (int step = 0; step < radius; ++step) {
     const Mask before = result;
-    for (int v = 0; v < mask.height(); ++v) {
-      for (int u = 0; u < mask.width(); ++u) {
-        if (before(u, v) || !object(u, v)) continue;
-        const bool near = (u > 0 && before(u - 1, v)) || (v > 0 && before(u, v - 1)) ||
-                          (u + 1 < mask.width() && before(u + 1, v)) || (v + 1 < mask.height() && before(u, v + 1));
-        if (near) result(u, v) = 255;
-      }
-    }
+    for_each_pixel(mask.size(), [&](int u, int v) {
+      if (before(u, v) || !object(u, v)) return;
+      const bool near = (u > 0 && before(u - 1, v)) || (v > 0 && before(u, v - 1)) ||
+                        (u + 1 < mask.width() && before(u + 1, v)) || (v + 1 < mask.height() && before(u, v + 1));
+      if (near) result(u, v) = 255;
+    });
   }
   return result;
 }
@@ -100,11 +96,8 @@ void move_region(const PixelSet& region, const Image<double>& difference, const 
 
 Image<float> pixel_costs(const RefinementField& field, const WeightOptions& options, const Context& context) {
   Image<float> costs(field.size());
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      costs(u, v) = static_cast<float>(cauchy(squared_residual(field, u, v), field.robust_scale_at(u, v)));
-    }
+  parallel_pixels(context, field.object, [&](int u, int v) {
+    costs(u, v) = static_cast<float>(cauchy(squared_residual(field, u, v), field.robust_scale_at(u, v)));
   });
   add_prior_costs(field, options, costs);
   return costs;

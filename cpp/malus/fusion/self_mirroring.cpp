@@ -14,12 +14,8 @@ namespace {
 /// Depth of the pixels' centers, NaN outside the object.
 Image<double> pixel_depths(const RefinementImage& image, const Context& context) {
   Image<double> depths(image.size(), 1, std::numeric_limits<double>::quiet_NaN());
-  parallel_rows(context, depths.height(), [&](int v) {
-    for (int u = 0; u < depths.width(); ++u) {
-      if (!image.pixels(u, v)) continue;
-      depths(u, v) =
-          image.depth_of((image.x(u, v) + image.x(u + 1, v) + image.x(u, v + 1) + image.x(u + 1, v + 1)) / 4);
-    }
+  parallel_pixels(context, image.pixels, [&](int u, int v) {
+    depths(u, v) = image.depth_of((image.x(u, v) + image.x(u + 1, v) + image.x(u, v + 1) + image.x(u + 1, v + 1)) / 4);
   });
   return depths;
 }
@@ -65,10 +61,8 @@ Mask self_mirroring_pixels(const RefinementImage& image, const Context& context)
   }
   const Image<double> depths = pixel_depths(image, context);
   const double side = side_of_set(image.pixels);
-  parallel_rows(context, pixels.height(), [&](int v) {
-    for (int u = 0; u < pixels.width(); ++u) {
-      if (image.pixels(u, v) && mirrors_itself(image, depths, side, u, v)) pixels(u, v) = 255;
-    }
+  parallel_pixels(context, pixels.size(), [&](int u, int v) {
+    if (image.pixels(u, v) && mirrors_itself(image, depths, side, u, v)) pixels(u, v) = 255;
   });
   return pixels;
 }

@@ -110,29 +110,23 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
   const double rest2 = square(std::max(length_px, static_cast<double>(cell_px))) - 0.25 * square(cell_px);
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> lack(count), weights(count);
-  parallel_rows(context, count.height, [&](int row) {
-    for (int column = 0; column < count.width; ++column) {
-      double sum = 0, variance = 0;
-      int nodes = 0;
-      for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
-        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
-          if (!image.object(u, v)) continue;
-          sum += x_prior(u, v) - image.x(u, v);
-          variance += std::pow(image.source(u, v).prior_sigma, 2);
-          ++nodes;
-        }
+  parallel_pixels(context, count, [&](int column, int row) {
+    double sum = 0, variance = 0;
+    int nodes = 0;
+    for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
+      for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
+        if (!image.object(u, v)) continue;
+        sum += x_prior(u, v) - image.x(u, v);
+        variance += std::pow(image.source(u, v).prior_sigma, 2);
+        ++nodes;
       }
-      if (nodes == 0) continue;
-      lack(column, row) = static_cast<float>(sum / nodes);
-      weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
     }
+    if (nodes == 0) return;
+    lack(column, row) = static_cast<float>(sum / nodes);
+    weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
   });
   const Image<float> low = pooled(lack, weights, std::sqrt(rest2) / cell_px, context);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      if (image.object(u, v)) image.x(u, v) += between_cells(low, cell_px, u, v);
-    }
-  });
+  parallel_pixels(context, image.object, [&](int u, int v) { image.x(u, v) += between_cells(low, cell_px, u, v); });
 }
 
 Image<float> deviations_from_prior(const RefinementImage& image, const Image<double>& x_prior, const Context& context) {

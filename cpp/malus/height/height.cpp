@@ -178,11 +178,9 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
   for (int k = 0; k < tiles.tiles(); ++k) {
     const HeightMap& result = results[static_cast<std::size_t>(k)];
     const PixelRect box = tiles.box(k);
-    parallel_rows(context, box.height(), [&](int y) {
-      for (int x = 0; x < box.width(); ++x) {
-        const auto weight = static_cast<float>(tiles.weight(k, box.u0 + x, box.v0 + y));
-        if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
-      }
+    parallel_pixels(context, box.size(), [&](int x, int y) {
+      const auto weight = static_cast<float>(tiles.weight(k, box.u0 + x, box.v0 + y));
+      if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
     });
     const auto unknowns = static_cast<double>(result.unknowns);
     squares += unknowns * result.residual_rms * result.residual_rms;

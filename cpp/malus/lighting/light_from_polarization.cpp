@@ -30,28 +30,24 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Reflectio
   const auto usable = [&](int u, int v) { return reflection.at(u, v) != Reflection::outside && state.is_valid(u, v); };
   std::size_t count = 0;
   Eigen::Vector2d middle = Eigen::Vector2d::Zero();
-  for (int v = 0; v < state.size().height; ++v) {
-    for (int u = 0; u < state.size().width; ++u) {
-      if (!usable(u, v)) continue;
-      middle += Eigen::Vector2d(u, -v);
-      ++count;
-    }
-  }
+  for_each_pixel(state.size(), [&](int u, int v) {
+    if (!usable(u, v)) return;
+    middle += Eigen::Vector2d(u, -v);
+    ++count;
+  });
   middle /= static_cast<double>(std::max<std::size_t>(count, 1));
   const std::size_t stride = count / most_samples + 1;
   std::vector<Sample> samples;
   std::size_t next = 0;
-  for (int v = 0; v < state.size().height; ++v) {
-    for (int u = 0; u < state.size().width; ++u) {
-      if (!usable(u, v) || next++ % stride != 0) continue;
-      const RayFrame frame = ray_frame(camera, u, v);
-      const double azimuth = azimuth_of(reflection.at(u, v), state.phi(u, v));
-      const double zenith = reflection.zenith(u, v);
-      samples.push_back({std::cos(zenith) * frame.view,
-                         std::sin(zenith) * (std::cos(azimuth) * frame.right + std::sin(azimuth) * frame.up),
-                         state.i_un(u, v), Eigen::Vector2d(u, -v) - middle});
-    }
-  }
+  for_each_pixel(state.size(), [&](int u, int v) {
+    if (!usable(u, v) || next++ % stride != 0) return;
+    const RayFrame frame = ray_frame(camera, u, v);
+    const double azimuth = azimuth_of(reflection.at(u, v), state.phi(u, v));
+    const double zenith = reflection.zenith(u, v);
+    samples.push_back({std::cos(zenith) * frame.view,
+                       std::sin(zenith) * (std::cos(azimuth) * frame.right + std::sin(azimuth) * frame.up),
+                       state.i_un(u, v), Eigen::Vector2d(u, -v) - middle});
+  });
   return samples;
 }
 

@@ -65,20 +65,18 @@ class PooledEvidence {
     const double overall = all.weight > 0 ? all.specular / all.weight : 0.0;
     const double lean = options.region_strength * cell_px_ * cell_px_;
     share_ = Image<float>(cells);
-    for (int y = 0; y < cells.height; ++y) {
-      for (int x = 0; x < cells.width; ++x) {
-        Evidence pooled{lean, lean * overall};
-        for (int dy = -1; dy <= 1; ++dy) {
-          for (int dx = -1; dx <= 1; ++dx) {
-            if (!sums.contains(x + dx, y + dy)) continue;
-            const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
-            const Evidence& cell = sums(x + dx, y + dy);
-            pooled += {tent * cell.weight, tent * cell.specular};
-          }
+    for_each_pixel(cells, [&](int x, int y) {
+      Evidence pooled{lean, lean * overall};
+      for (int dy = -1; dy <= 1; ++dy) {
+        for (int dx = -1; dx <= 1; ++dx) {
+          if (!sums.contains(x + dx, y + dy)) continue;
+          const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
+          const Evidence& cell = sums(x + dx, y + dy);
+          pooled += {tent * cell.weight, tent * cell.specular};
         }
-        share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
       }
-    }
+      share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
+    });
   }
 
   double specular_share(int u, int v) const { return between_cells(share_, cell_px_, u, v); }

@@ -17,12 +17,10 @@ Image<float> unpolarized_intensity(const std::vector<Image<float>>& images, cons
   if (solver.rank() < 3) throw input_error("unpolarized intensity: the polarizer angles do not determine the sinusoid");
   const Eigen::VectorXd weights = solver.pseudoInverse().row(0);
   Image<float> intensity(images.front().size());
-  parallel_rows(context, intensity.height(), [&](int v) {
-    for (int u = 0; u < intensity.width(); ++u) {
-      double sum = 0;
-      for (std::size_t k = 0; k < images.size(); ++k) sum += weights[static_cast<Eigen::Index>(k)] * images[k](u, v);
-      intensity(u, v) = static_cast<float>(sum);
-    }
+  parallel_pixels(context, intensity.size(), [&](int u, int v) {
+    double sum = 0;
+    for (std::size_t k = 0; k < images.size(); ++k) sum += weights[static_cast<Eigen::Index>(k)] * images[k](u, v);
+    intensity(u, v) = static_cast<float>(sum);
   });
   return intensity;
 }
