@@ -198,7 +198,7 @@ class Refiner {
     // The second model has hundreds of parameters more, and these explain a part of any data.
     constexpr double clearly = 0.1;
     fit_reflection(image_, options_, false, report_, map_, context_);
-    const ExplainedPolarization at_prior = explained(nullptr);
+    const ExplainedPolarization at_prior = explained();
     const double by_labels = mean_over_object(at_prior.shares(false, context_));
     // A black mirror's polarization follows from its slopes alone: a map of the surroundings cannot explain more.
     constexpr double well = 0.75, nearly_all = 0.9;
@@ -230,7 +230,7 @@ class Refiner {
     }
     find_other_finish(dielectric, image_, report_, map_, context_);
     if (options_.correct_index) correct_index();
-    if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) {
+    if (mean_over_object(explained().shares(false, context_)) > by_labels + clearly) {
       report_index(image_.reflection.eta != supposed_index(), index_of_body_sigma);
       return;
     }
@@ -298,12 +298,12 @@ class Refiner {
     if (!options_.evidence) return;
     const Size size = image_.size();
     report_.trust = Image<std::uint8_t>(size);
-    Image<double> x_prior(size);
-    const ExplainedPolarization at_prior = explained(&x_prior);
+    const Image<double> x_prior = image_.prior_surface(context_);
+    const ExplainedPolarization at_prior = explained();
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
     const Image<float> shares = with_map ? beyond_plane : at_prior.shares(false, context_);
-    const Image<float> after = explained_by_result(false).shares(context_);
+    const Image<float> after = explained_by_result(false);
     report_.explained_share = mean_over_object(shares);
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // The slopes from a dielectric's formulas are wrong for a metal, however well they fit.
@@ -442,11 +442,7 @@ class Refiner {
   /// Reduces the movement from the prior to the part that is gain, and returns the gains.
   GainByScale::Gains gain_of_movement(const Image<double>& x_prior) {
     GainByScale gain(image_.size(), image_.reflection.metal_error > 0);
-    for (const TileStrip& tiles : strips_) {
-      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
-      update_weights(strip.field, weights(1, false), context_);
-      gain.add(strip.field, strip.rows, strip.first_row, context_);
-    }
+    add_strips(false, gain);
     GainByScale::Gains gains = gain.gains(context_);
     const Image<float> movement = movement_that_is_gain(image_, x_prior, gains, context_);
     for (std::size_t i = 0; i < movement.count(); ++i) {
@@ -479,7 +475,7 @@ class Refiner {
   Image<float> trust_in_metal(const Image<float>& after, const Image<double>& x_prior) const {
     constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
     constexpr double too_far = 0.9, within = 0.95;
-    const Image<float> before = explained_by_result(true).shares(context_);
+    const Image<float> before = explained_by_result(true);
     Image<float> trust(after.size());
     for (std::size_t i = 0; i < trust.count(); ++i) {
       const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
@@ -542,31 +538,30 @@ class Refiner {
     fit_mirrored(image_, report_, map_, context_);
   }
 
-  /// How much of the polarization the reflection model explains at the prior's slopes. Copies the prior to `x_prior`
-  /// unless it is null.
-  ExplainedPolarization explained(Image<double>* x_prior) const {
-    ExplainedPolarization explained(image_.size(), mean_normal_);
-    for (const TileStrip& tiles : strips_) {
-      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
-      std::swap(strip.field.x, strip.field.x_prior);
-      update_weights(strip.field, weights(1, false), context_);
-      explained.add(strip.field, strip.rows, strip.first_row, context_);
-      for (int v = strip.rows.begin; v < strip.rows.end && x_prior != nullptr; ++v)
-        std::copy_n(strip.field.x.row(v), image_.size().width, x_prior->row(strip.first_row + v));
-    }
-    return explained;
-  }
-
-  /// How much of the polarization the reflection model explains at the current surface, or at the prior's.
-  ExplainedByResult explained_by_result(bool at_prior) const {
-    ExplainedByResult explained(image_.size());
+  /// Adds all strips, with the weights at the current surface or at the prior's.
+  template <class Sum>
+  void add_strips(bool at_prior, Sum& sum) const {
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
       if (at_prior) std::swap(strip.field.x, strip.field.x_prior);
       update_weights(strip.field, weights(1, false), context_);
-      explained.add(strip.field, strip.rows, strip.first_row, context_);
+      sum.add(strip.field, strip.rows, strip.first_row, context_);
     }
+  }
+
+  /// How much of the polarization the reflection model explains at the prior's slopes.
+  ExplainedPolarization explained() const {
+    ExplainedPolarization explained(image_.size(), mean_normal_);
+    add_strips(true, explained);
     return explained;
+  }
+
+  /// How much of the polarization the reflection model explains at the current surface, or at the prior's: shares of
+  /// the cells.
+  Image<float> explained_by_result(bool at_prior) const {
+    ExplainedByResult explained(image_.size());
+    add_strips(at_prior, explained);
+    return explained.shares(context_);
   }
 
   double mean_over_object(const Image<float>& cells) const {

@@ -117,6 +117,12 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
   return field;
 }
 
+Image<double> RefinementImage::prior_surface(const Context& context) const {
+  Image<double> x_prior(size(), 1, none);
+  parallel_pixels(context, object, [&](int u, int v) { x_prior(u, v) = source(u, v).x_prior; });
+  return x_prior;
+}
+
 RefinementImage make_image(const PolarizationState& state, const DepthPrior& prior, const Context& context) {
   const Size size = state.size();
   require_size(prior.depth, size, "the prior's depth");
@@ -136,12 +142,8 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   image.object = nodes_of(image.pixels);
   image.log_depth_origin = mean_log_depth(image.pixels, prior);
   image.source = StationPixels(state, prior, image.pixels, image.log_depth_origin);
-  image.x = Image<double>::uninitialized(nodes);
+  image.x = image.prior_surface(context);
   image.kind = Image<Reflection>(nodes);
-  parallel_rows(context, nodes.height, [&](int v) {
-    for (int u = 0; u < nodes.width; ++u)
-      image.x(u, v) = image.object(u, v) ? image.source(u, v).x_prior : static_cast<double>(none);
-  });
   return image;
 }
 

@@ -27,6 +27,8 @@ struct RefinementImage : SurfaceEstimate {
   /// Field of a part with the present surface, without weights. The part's borders must be multiples of the prior
   /// blocks, or the image's.
   RefinementField part(const PixelRect& rect, const Context& context) const;
+  /// The prior at all nodes of the object, NaN elsewhere.
+  Image<double> prior_surface(const Context& context) const;
 };
 
 /// Image of the object's pixels where the prior has a depth, with the prior's surface; `state` and `prior` must outlive

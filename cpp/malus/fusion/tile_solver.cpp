@@ -40,12 +40,11 @@ class TileProblem {
       : field_(field),
         tile_(tile),
         local_(tile.outer.grown(tile_ring_px, field.size())),
+        quads_{local_.u0 / quad_px, local_.v0 / quad_px, local_.u0 / quad_px + (local_.width() + 1) / quad_px,
+               local_.v0 / quad_px + (local_.height() + 1) / quad_px},
         prior_loss_(options.prior_robust_gsd),
         slope_loss_(std::max(options.slope_weight * slope_change, 1e-9)),
         albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
-    columns_ = (local_.width() + 1) / quad_px;
-    rows_ = (local_.height() + 1) / quad_px;
-    first_ = {local_.u0 / quad_px, local_.v0 / quad_px};
     copy_in();
     ceres::Problem::Options ownership;
     ownership.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -137,7 +136,7 @@ class TileProblem {
   std::shared_ptr<ceres::ParameterBlockOrdering> nested_dissection() {
     auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
     int groups = 0;
-    dissect({first_.column, first_.row, first_.column + columns_, first_.row + rows_}, groups, *ordering);
+    dissect(quads_, groups, *ordering);
     return ordering;
   }
 
@@ -157,7 +156,7 @@ class TileProblem {
     }
     for (int row = last.v0; row < last.v1; ++row) {
       for (int column = last.u0; column < last.u1; ++column) {
-        if (quad_has_object(field_, {column, row}))
+        if (nodes_on_object(field_, {column, row}) > 0)
           ordering.AddElementToGroup(x_.data() + quad_offset({column, row}), groups);
       }
     }
@@ -165,12 +164,10 @@ class TileProblem {
   }
 
   bool is_local(QuadIndex q) const {
-    return q.column >= first_.column && q.row >= first_.row && q.column < first_.column + columns_ &&
-           q.row < first_.row + rows_;
+    return q.column >= quads_.u0 && q.row >= quads_.v0 && q.column < quads_.u1 && q.row < quads_.v1;
   }
   std::size_t quad_offset(QuadIndex q) const {
-    return 4 * (static_cast<std::size_t>(q.row - first_.row) * static_cast<std::size_t>(columns_) +
-                static_cast<std::size_t>(q.column - first_.column));
+    return 4 * quads_.size().index(q.column - quads_.u0, q.row - quads_.v0);
   }
   std::size_t pixel_index(int u, int v) const {
     return quad_offset({u / quad_px, v / quad_px}) + static_cast<std::size_t>((v % quad_px) * quad_px + u % quad_px);
@@ -181,7 +178,7 @@ class TileProblem {
   }
 
   void copy_in() {
-    x_.assign(4 * static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), 0.0);
+    x_.assign(4 * quads_.size().area(), 0.0);
     for (int v = local_.v0; v < local_.v1; ++v) {
       for (int u = local_.u0; u < local_.u1; ++u) {
         if (field_.is_object(u, v)) x_[pixel_index(u, v)] = field_.x(u, v);
@@ -191,9 +188,9 @@ class TileProblem {
 
   template <class Visit>
   void for_each_quad(Visit&& visit) const {
-    for (int row = first_.row; row < first_.row + rows_; ++row) {
-      for (int column = first_.column; column < first_.column + columns_; ++column) {
-        if (quad_has_object(field_, {column, row})) visit(QuadIndex{column, row});
+    for (int row = quads_.v0; row < quads_.v1; ++row) {
+      for (int column = quads_.u0; column < quads_.u1; ++column) {
+        if (nodes_on_object(field_, {column, row}) > 0) visit(QuadIndex{column, row});
       }
     }
   }
@@ -228,15 +225,6 @@ class TileProblem {
     return losses_.back().get();
   }
 
-  bool is_whole(QuadIndex quad) const {
-    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-        if (!field_.is_object(u, v)) return false;
-      }
-    }
-    return true;
-  }
-
   /// Share of noise in the variance of the polarization of a quad's diffuse pixels, at least `least`. The other part is
   /// the model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with
   /// a map of the surroundings other costs hold the slopes.
@@ -244,36 +232,30 @@ class TileProblem {
     constexpr double least = 0.02;
     double sum = 0;
     int count = 0;
-    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-        if (!field_.is_object(u, v)) continue;
-        ++count;
-        if (field_.kind(u, v) != Reflection::diffuse || field_.reflection.mirrored) continue;
-        const double precision = field_.stokes_precision(u, v);
-        sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
-      }
-    }
+    for_each_node(field_, quad, [&](int u, int v, int) {
+      ++count;
+      if (field_.kind(u, v) != Reflection::diffuse || field_.reflection.mirrored) return;
+      const double precision = field_.stokes_precision(u, v);
+      sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
+    });
     return std::max(sum / std::max(count, 1), least);
   }
 
   void add_costs(const TileOptions& options) {
     for_each_quad([&](QuadIndex quad) {
-      if (!is_whole(quad)) add(std::make_unique<OutsideCost>(field_, quad));
+      if (nodes_on_object(field_, quad) < quad_px * quad_px) add(std::make_unique<OutsideCost>(field_, quad));
       for (const Axis axis : {Axis::u, Axis::v}) {
-        if (quad_has_object(field_, next_quad(quad, axis)))
+        if (nodes_on_object(field_, next_quad(quad, axis)) > 0)
           add(std::make_unique<SmoothnessCost>(field_, quad, axis, options.smoothness * noise_share(quad)));
       }
-      for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-        for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-          if (!field_.is_object(u, v)) continue;
-          if (options.slope_weight > 0)
-            add(std::make_unique<SlopeChangeCost>(field_, u, v, options.slope_weight), &slope_loss_);
-          if (field_.stokes_precision(u, v) > 0)
-            add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
-          if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
-            add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
-        }
-      }
+      for_each_node(field_, quad, [&](int u, int v, int) {
+        if (options.slope_weight > 0)
+          add(std::make_unique<SlopeChangeCost>(field_, u, v, options.slope_weight), &slope_loss_);
+        if (field_.stokes_precision(u, v) > 0)
+          add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
+        if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
+          add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
+      });
     });
     for (int row = local_.v0 / prior_block_px; row * prior_block_px < local_.v1; ++row) {
       for (int column = local_.u0 / prior_block_px; column * prior_block_px < local_.u1; ++column) {
@@ -288,8 +270,7 @@ class TileProblem {
   const RefinementField& field_;
   Tile tile_;
   PixelRect local_;
-  QuadIndex first_;
-  int columns_ = 0, rows_ = 0;
+  PixelRect quads_;  ///< of the local pixels, in units of quads
   std::size_t unknowns_ = 0;
   std::vector<double> x_;  // quad by quad
   ceres::CauchyLoss prior_loss_, slope_loss_, albedo_loss_;

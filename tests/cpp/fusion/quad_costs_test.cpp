@@ -97,7 +97,7 @@ std::vector<std::unique_ptr<QuadCost>> all_costs(const RefinementField& field, M
   std::vector<std::unique_ptr<QuadCost>> costs;
   for (int row = 0; 2 * row < field.size().height; ++row) {
     for (int column = 0; 2 * column < field.size().width; ++column) {
-      if (quad_has_object(field, {column, row})) make(QuadIndex{column, row}, costs);
+      if (nodes_on_object(field, {column, row}) > 0) make(QuadIndex{column, row}, costs);
     }
   }
   return costs;
