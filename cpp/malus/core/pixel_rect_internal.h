@@ -13,7 +13,11 @@ struct PixelRect {
   int width() const { return u1 - u0; }
   int height() const { return v1 - v0; }
   Size size() const { return {width(), height()}; }
+  bool empty() const { return u1 <= u0 || v1 <= v0; }
   bool operator==(const PixelRect&) const = default;
+  PixelRect intersected(const PixelRect& other) const {
+    return {std::max(u0, other.u0), std::max(v0, other.v0), std::min(u1, other.u1), std::min(v1, other.v1)};
+  }
   /// This rectangle grown by `by` pixels on each side, clipped to an image of size `image`.
   PixelRect grown(int by, Size image) const {
     return {std::max(u0 - by, 0), std::max(v0 - by, 0), std::min(u1 + by, image.width),

@@ -158,7 +158,7 @@ Image<float> with_parts_in_place(const Image<float>& height, const Image<float>&
                                            [](const Offset& a, const Offset& b) { return a.pixels < b.pixels; });
   Image<float> placed = height;
   parallel_pixels(context, height.size(), [&](int u, int v) {
-    const std::size_t pixel = static_cast<std::size_t>(v) * width + static_cast<std::size_t>(u);
+    const std::size_t pixel = height.size().index(u, v);
     const Offset& offset = offsets[static_cast<std::size_t>(part_of[pixel])];
     if (offset.pixels > 0) placed[pixel] += static_cast<float>(offset.mean() - largest.mean());
   });

@@ -85,6 +85,20 @@ Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::Ve
   return solution;
 }
 
+/// Mean of ln(1 + r² / 4) over squared residuals.
+double mean_cost(const std::vector<double>& squares) {
+  double cost = 0;
+  for (const double square : squares) cost += std::log1p(square / 4);
+  return cost / static_cast<double>(std::max<std::size_t>(squares.size(), 1));
+}
+
+/// Sets robust weights by the squared residuals of two components; returns their scale, at least 1.
+double reweigh(const std::vector<double>& squares, std::vector<double>& weights) {
+  const double scale = std::max(median(squares) / 1.4, 1.0);
+  for (std::size_t i = 0; i < squares.size(); ++i) weights[i] = 1 / (1 + squares[i] / (4 * scale));
+  return scale;
+}
+
 LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::vector<Eigen::Vector2d>* lobe) {
   const Eigen::Index unknowns = node_count + (lobe != nullptr ? 1 : 0);
   std::vector<double> weights(samples.size(), 1.0), squares(samples.size());
@@ -120,7 +134,6 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
     normal.triangularView<Eigen::StrictlyLower>() = normal.transpose();
     normal.diagonal().array() += 1e-12;
     fit.values = solve_nonnegative(normal, rhs);
-    fit.cost = 0;
     for (std::size_t i = 0; i < samples.size(); ++i) {
       const LinearizedSample& s = samples[i];
       const double e =
@@ -128,11 +141,9 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
       Eigen::Vector2d residual = s.base - e * s.environment;
       if (lobe != nullptr) residual -= fit.values[node_count] * (*lobe)[i];
       squares[i] = residual.squaredNorm();
-      fit.cost += std::log1p(squares[i] / 4);
     }
-    fit.cost /= static_cast<double>(std::max<std::size_t>(samples.size(), 1));
-    fit.scale = std::max(median(squares) / 1.4, 1.0);
-    for (std::size_t i = 0; i < samples.size(); ++i) weights[i] = 1 / (1 + squares[i] / (4 * fit.scale));
+    fit.cost = mean_cost(squares);
+    fit.scale = reweigh(squares, weights);
   }
   fit.sigma = (normal.inverse().diagonal() * fit.scale).cwiseMax(0).cwiseSqrt();
   return fit;
@@ -460,14 +471,9 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
       rhs += weights[i] * column[i].dot(offset[i]);
     }
     body = rhs / std::max(normal, 1e-300);
-    fit.cost = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      squares[i] = (offset[i] - body * column[i]).squaredNorm();
-      fit.cost += std::log1p(squares[i] / 4);
-    }
-    fit.cost /= static_cast<double>(count);
-    scale = std::max(median(squares) / 1.4, 1.0);
-    for (std::size_t i = 0; i < count; ++i) weights[i] = 1 / (1 + squares[i] / (4 * scale));
+    for (std::size_t i = 0; i < count; ++i) squares[i] = (offset[i] - body * column[i]).squaredNorm();
+    fit.cost = mean_cost(squares);
+    scale = reweigh(squares, weights);
   }
   fit.body_sigma = std::sqrt(scale / std::max(normal, 1e-300));
   body = std::max(body, 0.0);

@@ -101,6 +101,14 @@ double tangential_light(const Eigen::Vector3d& light, const Pinhole* camera, Siz
   return std::sqrt(sum / ((steps + 1) * (steps + 1)));
 }
 
+double reweigh(const std::vector<double>& residuals, double outlier_scale, std::vector<double>& weights) {
+  std::vector<double> sorted = residuals;
+  const double sigma = robust_spread(sorted), scale = std::max(outlier_scale * sigma, 1e-12);
+  for (std::size_t i = 0; i < residuals.size(); ++i)
+    weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
+  return sigma;
+}
+
 LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
                              const Pinhole* camera, const LightOptions& options, const Context& context) {
   validate_fields(options, "lighting");
@@ -131,12 +139,7 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     light.coefficients.head(unknowns) = used.ldlt().solve(equations.right.head(unknowns));
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
-    std::vector<double> sorted = residuals;
-    light.robust_sigma = robust_spread(sorted);
-    const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);
-    for (std::size_t i = 0; i < samples.size(); ++i) {
-      weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
-    }
+    light.robust_sigma = reweigh(residuals, options.outlier_scale, weights);
   }
   light.tangential = tangential_light(light.coefficients.head<3>(), camera, intensity.size());
   light.status = light.tangential < options.min_tangential ? LightStatus::along_view : LightStatus::estimated;

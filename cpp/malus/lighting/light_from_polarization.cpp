@@ -5,7 +5,6 @@
 #include <numbers>
 #include <vector>
 
-#include "malus/core/robust_spread_internal.h"
 #include "malus/lighting/light_from_contour_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -100,11 +99,7 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
       sum += weights[i];
     }
     fit.rms = std::sqrt(squares / sum);
-    std::vector<double> sorted = residuals;
-    fit.robust_sigma = robust_spread(sorted);
-    const double scale = std::max(outlier_scale * fit.robust_sigma, 1e-12);
-    for (std::size_t i = 0; i < samples.size(); ++i)
-      weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
+    fit.robust_sigma = reweigh(residuals, outlier_scale, weights);
   }
   return fit;
 }

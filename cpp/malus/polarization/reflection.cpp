@@ -1,5 +1,6 @@
 #include "malus/polarization/reflection.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -8,6 +9,7 @@
 #include <vector>
 
 #include "malus/core/cell_values_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -142,17 +144,8 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
   map.label = Image<std::uint8_t>(state.size());
   map.zenith = Image<float>(state.size(), 1, std::numeric_limits<float>::quiet_NaN());
   const double brewster_slope = options.refractive_index;  // tan of Brewster's angle
-  struct Counts {
-    std::size_t labeled = 0, specular = 0, clamped = 0;
-    Counts& operator+=(const Counts& other) {
-      labeled += other.labeled;
-      specular += other.specular;
-      clamped += other.clamped;
-      return *this;
-    }
-  };
   const auto label_rows = [&](std::size_t begin, std::size_t end) {
-    Counts counts;
+    std::size_t clamped = 0;
     for (int v = static_cast<int>(begin); v < static_cast<int>(end); ++v) {
       for (int u = 0; u < state.size().width; ++u) {
         if (!state.is_valid(u, v)) continue;
@@ -169,15 +162,18 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
         const auto zenith = zenith_of(label, state.rho(u, v), options.refractive_index, branch);
         map.label(u, v) = static_cast<std::uint8_t>(label);
         map.zenith(u, v) = static_cast<float>(zenith.zenith_rad);
-        counts += {1, label == Reflection::specular ? 1u : 0u, zenith.clamped ? 1u : 0u};
+        clamped += zenith.clamped ? 1 : 0;
       }
     }
-    return counts;
+    return clamped;
   };
-  const Counts counts = parallel_sum(context, static_cast<std::size_t>(state.size().height), 16, Counts{}, label_rows);
-  if (counts.labeled > 0) {
-    map.specular_share = static_cast<double>(counts.specular) / static_cast<double>(counts.labeled);
-    map.clamped_share = static_cast<double>(counts.clamped) / static_cast<double>(counts.labeled);
+  const std::size_t clamped =
+      parallel_sum(context, static_cast<std::size_t>(state.size().height), 16, std::size_t{0}, label_rows);
+  const auto labeled = static_cast<double>(count_of_set(map.label));
+  if (labeled > 0) {
+    const auto specular = std::ranges::count(map.label, static_cast<std::uint8_t>(Reflection::specular));
+    map.specular_share = static_cast<double>(specular) / labeled;
+    map.clamped_share = static_cast<double>(clamped) / labeled;
   }
   return map;
 }
