@@ -64,14 +64,18 @@ char color_at(const std::string& colors, int u, int v) {
   return colors[cell_of(u / 2, v / 2)];
 }
 
-void require_color_cells(const Image<float>& mosaic, const std::string& name) {
+/// Throws an input error unless a mosaic has one channel and consists of whole cells of this side, `described` in
+/// words.
+void require_cells(const Image<float>& mosaic, int side, const std::string& described, const std::string& name) {
   const Size size = mosaic.size();
   if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
-  if (size.width % 4 != 0 || size.height % 4 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(
-        name + " is " + to_string(size) +
-        " pixels; a color mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
-  }
+  if (size.width % side != 0 || size.height % side != 0 || size.width < 8 || size.height < 8)
+    throw input_error(name + " is " + to_string(size) + " pixels; " + described);
+}
+
+void require_color_cells(const Image<float>& mosaic, const std::string& name) {
+  require_cells(mosaic, 4, "a color mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8",
+                name);
 }
 
 /// Ratio of one color's samples to their expected values without color, smoothed and interpolated to all pixels. The
@@ -156,11 +160,7 @@ Image<float> share_of_fine(const Contrasts& smooth) {
 
 MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const Context& context) {
   const Size size = mosaic.size();
-  if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
-  if (size.width % 2 != 0 || size.height % 2 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(name + " is " + to_string(size) +
-                      " pixels; a mosaic of 2 x 2 cells has an even width and height of at least 8");
-  }
+  require_cells(mosaic, 2, "a mosaic of 2 x 2 cells has an even width and height of at least 8", name);
   const Contrasts smooth = contrasts(mosaic, coarse, context);
   Contrasts sharp = contrasts(mosaic, fine, context);
   const Image<float> share = share_of_fine(smooth);

@@ -6,7 +6,6 @@
 #include <numeric>
 #include <sstream>
 
-#include "malus/core/error.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/polarization/polarizer_fit_internal.h"
@@ -102,10 +101,6 @@ std::string in_degrees(const std::vector<double>& angles_rad) {
 
 ImageOrder check_image_order(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const Context& context) {
-  if (images.empty() || images.size() != angles_rad.size()) {
-    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle per image");
-  }
   ImageOrder result;
   result.angles_rad = angles_rad;
   Finding& finding = result.finding;
@@ -113,7 +108,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   // Images shifted by a fraction of a pixel differ where brightness changes from pixel to pixel, which in some order
   // looks like polarization. Means over several pixels suppress this; polarization hardly changes over them.
   constexpr int reach_px = 2;
-  const PixelSamples samples = pixel_samples(images, mask, reach_px);
+  const PixelSamples samples = pixel_samples(images, angles_rad, mask, reach_px);
   if (images.size() < 4 || samples.values.size() < min_samples) {
     finding.message =
         "whether the images are in the order of their angles could not be checked: expected four images "

@@ -51,12 +51,6 @@ std::string words_of(const Eigen::Matrix3d& axes) {
   return text + ")";
 }
 
-Eigen::Affine3d linear(const Eigen::Matrix3d& matrix) {
-  Eigen::Affine3d affine = Eigen::Affine3d::Identity();
-  affine.linear() = matrix;
-  return affine;
-}
-
 }  // namespace
 
 std::vector<ImageTurn> image_turns(Size size) {
@@ -120,10 +114,7 @@ CloudCoverage CoverageCounter::operator()(const PointCloud& cloud, const Eigen::
 }
 
 Eigen::Affine3d affine_of(const Pose& pose) {
-  Eigen::Affine3d affine = Eigen::Affine3d::Identity();
-  affine.linear() = pose.rotation;
-  affine.translation() = pose.translation;
-  return affine;
+  return Eigen::Translation3d(pose.translation) * Eigen::Affine3d(pose.rotation);
 }
 
 std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, const CoverageCounter& coverage_of,
@@ -135,8 +126,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
     const double scale = other.metres / length_unit(unit).metres;
     std::ostringstream text;
     text << "the cloud is in " << other.name << " and the camera in " << unit << " (a factor of " << scale << ")";
-    result.push_back({text.str(), "give cloud and camera in the same unit",
-                      given * linear(scale * Eigen::Matrix3d::Identity()),
+    result.push_back({text.str(), "give cloud and camera in the same unit", given * Eigen::Scaling(scale),
                       other.name == "ft" || other.name == "in" ? 0.3 : 1.0});
   }
   result.push_back({"the camera's pose goes the other way, from the camera into the world",
@@ -144,7 +134,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
   for (const Eigen::Matrix3d& axes : exchanged_axes()) {
     const std::string name = axes.determinant() < 0 ? "the cloud is mirrored" : "the axes of the cloud are exchanged";
     result.push_back({name + ", for example (x, y, z) for " + words_of(axes), "export the cloud with the camera's axes",
-                      given * linear(axes)});
+                      given * Eigen::Affine3d(axes)});
   }
   for (MovedCloud& idea : result) idea.coverage = coverage_of(cloud, idea.cam_from_cloud);
   std::ranges::stable_sort(result, std::ranges::greater{}, &MovedCloud::rank);

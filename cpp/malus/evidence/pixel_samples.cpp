@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
+#include <string>
 
+#include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
 
@@ -27,7 +29,12 @@ bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u,
 
 }  // namespace
 
-PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px) {
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                           const Mask& mask, int reach_px) {
+  if (images.empty() || images.size() != angles_rad.size()) {
+    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
+                      " angles, expected one angle per image");
+  }
   PixelSamples samples;
   const Size size = images.front().size();
   const double wanted = std::min(most_samples, most_values / static_cast<double>(images.size()));

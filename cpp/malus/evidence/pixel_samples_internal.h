@@ -15,7 +15,8 @@ struct PixelSamples {
 };
 
 /// Evenly spaced samples, at most a few hundred thousand. mask: non-zero = object, empty = everything. reach_px: how
-/// far a window extends from its middle.
-PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px);
+/// far a window extends from its middle. Throws an input error unless there is an image, and an angle for each.
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                           const Mask& mask, int reach_px);
 
 }  // namespace malus

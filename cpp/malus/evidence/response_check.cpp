@@ -2,7 +2,6 @@
 #include <array>
 #include <cmath>
 
-#include "malus/core/error.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/evidence/response_check_internal.h"
 #include "malus/polarization/polarizer_fit_internal.h"
@@ -52,12 +51,8 @@ std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, 
 
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const std::string& response, const Context& context) {
-  if (images.empty() || images.size() != angles_rad.size()) {
-    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle per image");
-  }
   context.check_cancel();
-  const auto parts = sums_of(pixel_samples(images, mask, 0), angles_rad);
+  const auto parts = sums_of(pixel_samples(images, angles_rad, mask, 0), angles_rad);
   Sums all;
   for (const Sums& part : parts) {
     all.product += part.product;

@@ -5,7 +5,6 @@
 #include <memory>
 #include <mutex>
 #include <numeric>
-#include <span>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/quad_costs_internal.h"
@@ -359,15 +358,14 @@ std::vector<TileSolution> solve_tiles(const RefinementField& field, const std::v
   std::vector<TileSolution> solutions(tiles.size());
   std::mutex reporting;
   const std::vector<std::size_t> order = largest_first(tiles, field.object);
-  parallel_for(context, tiles.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (const std::size_t i : std::span(order).subspan(begin, end - begin)) {
-      TileProblem problem(field, tiles[i], options);
-      solutions[i].statistics = problem.solve(options, context);
-      context.check_cancel();
-      solutions[i].x = problem.solution();
-      const std::lock_guard lock(reporting);
-      solved();
-    }
+  parallel_for(context, tiles.size(), 1, [&](std::size_t k, std::size_t) {
+    const std::size_t i = order[k];
+    TileProblem problem(field, tiles[i], options);
+    solutions[i].statistics = problem.solve(options, context);
+    context.check_cancel();
+    solutions[i].x = problem.solution();
+    const std::lock_guard lock(reporting);
+    solved();
   });
   return solutions;
 }
