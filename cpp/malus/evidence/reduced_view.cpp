@@ -7,6 +7,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 
@@ -83,22 +84,20 @@ SceneView scene_view(const PolarizationState& state, const Image<float>& scene, 
     double light = 0, variance = 0;
     Eigen::Vector3d stokes = Eigen::Vector3d::Zero();
     int lit = 0, valid = 0, objects = 0;
-    for (int v = row * factor; v < (row + 1) * factor; ++v) {
-      for (int u = column * factor; u < (column + 1) * factor; ++u) {
-        objects += object(u, v) != 0;
-        const bool is_valid = state.is_valid(u, v);
-        const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
-        if (std::isfinite(intensity)) {
-          light += intensity;
-          ++lit;
-        }
-        if (!is_valid) continue;
-        const Eigen::Vector3d s = state.stokes(u, v);
-        stokes += s;
-        variance += variances(u, v, s).linear;
-        ++valid;
+    for_each_pixel(cell_rect(column, row, factor, state.size()), [&](int u, int v) {
+      objects += object(u, v) != 0;
+      const bool is_valid = state.is_valid(u, v);
+      const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
+      if (std::isfinite(intensity)) {
+        light += intensity;
+        ++lit;
       }
-    }
+      if (!is_valid) return;
+      const Eigen::Vector3d s = state.stokes(u, v);
+      stokes += s;
+      variance += variances(u, v, s).linear;
+      ++valid;
+    });
     const int half = factor * factor / 2;
     if (lit > half) {
       view.seen(column, row) = 255;
@@ -168,13 +167,11 @@ PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int facto
   for_each_pixel(reduced.size, [&](int column, int row) {
     double sum = 0;
     int count = 0;
-    for (int v = row * factor; v < (row + 1) * factor; ++v) {
-      for (int u = column * factor; u < (column + 1) * factor; ++u) {
-        if (!(std::isfinite(depth(u, v)) && depth(u, v) > 0)) continue;
-        sum += depth(u, v);
-        ++count;
-      }
-    }
+    for_each_pixel(cell_rect(column, row, factor, depth.size()), [&](int u, int v) {
+      if (!(std::isfinite(depth(u, v)) && depth(u, v) > 0)) return;
+      sum += depth(u, v);
+      ++count;
+    });
     if (2 * count <= factor * factor) return;
     view.seen(column, row) = 255;
     view.depth(column, row) = static_cast<float>(sum / count);

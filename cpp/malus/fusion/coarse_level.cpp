@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -7,16 +6,6 @@
 
 namespace malus {
 namespace {
-
-/// Calls visit(u, v) for those fine pixels of a coarse pixel for which `counts` is set.
-template <class Visit>
-void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
-  for (int v = 2 * row; v < std::min(2 * row + 2, counts.height()); ++v) {
-    for (int u = 2 * column; u < std::min(2 * column + 2, counts.width()); ++u) {
-      if (counts(u, v)) visit(u, v);
-    }
-  }
-}
 
 /// Value at a coarse node: that of the fine node at the same place, or the mean of the fine nodes around it if that one
 /// is not on the object.
@@ -44,7 +33,7 @@ double coarse_x(const RefinementImage& fine, int column, int row) {
 PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   PixelData pixel;
   int usable = 0;
-  for_each_child(fine.usable, column, row, [&](int u, int v) {
+  for_each_pixel(cell_rect(column, row, 2, fine.size()), fine.usable, [&](int u, int v) {
     const PixelData child = fine.source(u, v);
     pixel.s0 += child.s0;
     pixel.s1 += child.s1;
@@ -65,7 +54,7 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
 /// Marks a coarse pixel as on the object if one of its fine pixels is.
 void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   int count = 0, specular = 0;
-  for_each_child(fine.pixels, column, row, [&](int u, int v) {
+  for_each_pixel(cell_rect(column, row, 2, fine.size()), fine.pixels, [&](int u, int v) {
     specular += fine.kind(u, v) == Reflection::specular;
     ++count;
   });

@@ -103,14 +103,12 @@ class Tile {
         box_(box),
         values_(box.size().area()),
         reached_(values_.size(), false) {
-    for (int v = box.v0; v < box.v1; ++v)
-      for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
+    for_each_pixel(box, [&](int u, int v) { *at(u, v) = heights(u, v); });
   }
 
   /// Solves the tile; returns whether it converged.
   bool solve() {
-    for (int v = box_.v0; v < box_.v1; ++v)
-      for (int u = box_.u0; u < box_.u1; ++u) add_equations(u, v);
+    for_each_pixel(box_, [&](int u, int v) { add_equations(u, v); });
     if (options_.prior_weight > 0) add_cells();
     if (problem_.NumResidualBlocks() == 0) return true;
     keep_unreached();
@@ -181,13 +179,11 @@ class Tile {
       for (int u0 = box_.u0 / cell * cell; u0 < box_.u1; u0 += cell) {
         std::vector<double*> pixels;
         double prior = 0;
-        for (int v = std::max(v0, box_.v0); v < std::min(v0 + cell, box_.v1); ++v) {
-          for (int u = std::max(u0, box_.u0); u < std::min(u0 + cell, box_.u1); ++u) {
-            if (!has(u, v)) continue;
-            pixels.push_back(at(u, v));
-            prior += prior_heights_(u, v);
-          }
-        }
+        for_each_pixel(box_.intersected({u0, v0, u0 + cell, v0 + cell}), [&](int u, int v) {
+          if (!has(u, v)) return;
+          pixels.push_back(at(u, v));
+          prior += prior_heights_(u, v);
+        });
         if (pixels.empty()) continue;
         const auto count = static_cast<double>(pixels.size());
         problem_.AddResidualBlock(new CellMean(pixels.size(), prior / count, options_.prior_weight * std::sqrt(count)),
@@ -199,21 +195,17 @@ class Tile {
   /// Pixels that no equation reaches (in a corner of the image, or enclosed by pixels without polarization) keep their
   /// heights: the mean of a cell alone would let them drift.
   void keep_unreached() {
-    for (int v = box_.v0; v < box_.v1; ++v) {
-      for (int u = box_.u0; u < box_.u1; ++u) {
-        if (!has(u, v) || reached_[index(u, v)]) continue;
-        problem_.AddResidualBlock(new CellMean(1, heights_(u, v), 1), nullptr, std::vector<double*>{at(u, v)});
-      }
-    }
+    for_each_pixel(box_, [&](int u, int v) {
+      if (!has(u, v) || reached_[index(u, v)]) return;
+      problem_.AddResidualBlock(new CellMean(1, heights_(u, v), 1), nullptr, std::vector<double*>{at(u, v)});
+    });
   }
 
   void hold_surroundings() {
-    for (int v = box_.v0; v < box_.v1; ++v) {
-      for (int u = box_.u0; u < box_.u1; ++u) {
-        const bool is_held = box_.is_at_cut(u, v, held_px, heights_.size());
-        if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
-      }
-    }
+    for_each_pixel(box_, [&](int u, int v) {
+      const bool is_held = box_.is_at_cut(u, v, held_px, heights_.size());
+      if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
+    });
   }
 
   const Image<float>&heights_, &prior_heights_;
@@ -262,13 +254,10 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
     for (std::size_t i = 0; i < group.size(); ++i) {
       if (!group[i]) continue;
       const int tile = first + static_cast<int>(i);
-      const PixelRect box = tiled.box(tile);
-      for (int v = box.v0; v < box.v1; ++v) {
-        for (int u = box.u0; u < box.u1; ++u) {
-          const double weight = tiled.weight(tile, u, v);
-          if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
-        }
-      }
+      for_each_pixel(tiled.box(tile), [&](int u, int v) {
+        const double weight = tiled.weight(tile, u, v);
+        if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
+      });
       unfinished += converged[i] == 0 ? 1 : 0;
     }
   }

@@ -103,15 +103,12 @@ void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, co
   parallel_pixels(context, blocks, [&](int column, int row) {
     double sum = 0, cos2 = 0, sigma = 0;
     int count = 0;
-    for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
-      for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
-        if (!field.object(u, v)) continue;
-        sum += field.x_prior(u, v);
-        sigma += field.prior_sigma(u, v);
-        cos2 += 1 / (1 + central_slopes(field, u, v).tan2());
-        ++count;
-      }
-    }
+    for_each_pixel(cell_rect(column, row, prior_block_px, field.size()), field.object, [&](int u, int v) {
+      sum += field.x_prior(u, v);
+      sigma += field.prior_sigma(u, v);
+      cos2 += 1 / (1 + central_slopes(field, u, v).tan2());
+      ++count;
+    });
     if (count == 0) return;
     const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
     field.block_mean(column, row) = static_cast<float>(sum / count);

@@ -25,25 +25,17 @@ double cauchy(double squared, double scale) {
 void add_prior_costs(const RefinementField& field, const WeightOptions& options, Image<float>& costs) {
   for_each_pixel(field.block_count(), [&](int column, int row) {
     if (field.block_weight(column, row) <= 0) return;
-    const int u0 = column * prior_block_px, u1 = std::min(u0 + prior_block_px, field.size().width);
-    const int v0 = row * prior_block_px, v1 = std::min(v0 + prior_block_px, field.size().height);
+    const PixelRect block = cell_rect(column, row, prior_block_px, field.size());
     double sum = 0;
     int count = 0;
-    for (int v = v0; v < v1; ++v) {
-      for (int u = u0; u < u1; ++u) {
-        if (!field.object(u, v)) continue;
-        sum += field.x(u, v);
-        ++count;
-      }
-    }
+    for_each_pixel(block, field.object, [&](int u, int v) {
+      sum += field.x(u, v);
+      ++count;
+    });
     const double squared = square(sum / count - field.block_mean(column, row));
     const auto share =
         static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
-    for (int v = v0; v < v1; ++v) {
-      for (int u = u0; u < u1; ++u) {
-        if (field.object(u, v)) costs(u, v) += share;
-      }
-    }
+    for_each_pixel(block, field.object, [&](int u, int v) { costs(u, v) += share; });
   });
 }
 

@@ -113,14 +113,11 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
   parallel_pixels(context, count, [&](int column, int row) {
     double sum = 0, variance = 0;
     int nodes = 0;
-    for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
-      for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
-        if (!image.object(u, v)) continue;
-        sum += x_prior(u, v) - image.x(u, v);
-        variance += std::pow(image.source(u, v).prior_sigma, 2);
-        ++nodes;
-      }
-    }
+    for_each_pixel(cell_rect(column, row, cell_px, size), image.object, [&](int u, int v) {
+      sum += x_prior(u, v) - image.x(u, v);
+      variance += std::pow(image.source(u, v).prior_sigma, 2);
+      ++nodes;
+    });
     if (nodes == 0) return;
     lack(column, row) = static_cast<float>(sum / nodes);
     weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
@@ -134,15 +131,12 @@ Image<float> deviations_from_prior(const RefinementImage& image, const Image<dou
   constexpr double pool_cells = 0.5;
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> squares(count), weights(count);
-  parallel_rows(context, count.height, [&](int row) {
-    for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image.object(u, v)) continue;
-        const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source(u, v).prior_sigma;
-        squares(u / cell_px, row) += static_cast<float>(square(deviation));
-        weights(u / cell_px, row) += 1;
-      }
-    }
+  parallel_pixels(context, count, [&](int column, int row) {
+    for_each_pixel(cell_rect(column, row, cell_px, size), image.object, [&](int u, int v) {
+      const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source(u, v).prior_sigma;
+      squares(column, row) += static_cast<float>(square(deviation));
+      weights(column, row) += 1;
+    });
   });
   for (std::size_t i = 0; i < squares.count(); ++i) squares[i] /= std::max(weights[i], 1.0F);
   Image<float> deviations = pooled(squares, weights, pool_cells, context);

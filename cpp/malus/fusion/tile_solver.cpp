@@ -87,10 +87,8 @@ class TileProblem {
   /// Solution on the outer rectangle, row major.
   std::vector<double> solution() const {
     std::vector<double> x;
-    x.reserve(static_cast<std::size_t>(tile_.outer.width()) * static_cast<std::size_t>(tile_.outer.height()));
-    for (int v = tile_.outer.v0; v < tile_.outer.v1; ++v) {
-      for (int u = tile_.outer.u0; u < tile_.outer.u1; ++u) x.push_back(x_[pixel_index(u, v)]);
-    }
+    x.reserve(tile_.outer.size().area());
+    for_each_pixel(tile_.outer, [&](int u, int v) { x.push_back(x_[pixel_index(u, v)]); });
     return x;
   }
 
@@ -153,49 +151,34 @@ class TileProblem {
       dissect(before, groups, ordering);
       dissect(after, groups, ordering);
     }
-    for (int row = last.v0; row < last.v1; ++row) {
-      for (int column = last.u0; column < last.u1; ++column) {
-        if (nodes_on_object(field_, {column, row}) > 0)
-          ordering.AddElementToGroup(x_.data() + quad_offset({column, row}), groups);
-      }
-    }
+    for_each_quad(last, [&](QuadIndex quad) { ordering.AddElementToGroup(x_.data() + quad_offset(quad), groups); });
     ++groups;
   }
 
-  bool is_local(QuadIndex q) const {
-    return q.column >= quads_.u0 && q.row >= quads_.v0 && q.column < quads_.u1 && q.row < quads_.v1;
-  }
+  bool is_local(QuadIndex q) const { return quads_.contains(q.column, q.row); }
   std::size_t quad_offset(QuadIndex q) const {
     return 4 * quads_.size().index(q.column - quads_.u0, q.row - quads_.v0);
   }
   std::size_t pixel_index(int u, int v) const {
     return quad_offset({u / quad_px, v / quad_px}) + static_cast<std::size_t>((v % quad_px) * quad_px + u % quad_px);
   }
-  bool is_unknown(QuadIndex q) const {
-    return quad_px * q.column >= tile_.outer.u0 && quad_px * q.row >= tile_.outer.v0 &&
-           quad_px * q.column < tile_.outer.u1 && quad_px * q.row < tile_.outer.v1;
-  }
+  bool is_unknown(QuadIndex q) const { return tile_.outer.contains(quad_px * q.column, quad_px * q.row); }
 
   void copy_in() {
     x_.assign(4 * quads_.size().area(), 0.0);
-    for (int v = local_.v0; v < local_.v1; ++v) {
-      for (int u = local_.u0; u < local_.u1; ++u) {
-        if (field_.is_object(u, v)) x_[pixel_index(u, v)] = field_.x(u, v);
-      }
-    }
+    for_each_pixel(local_, field_.object, [&](int u, int v) { x_[pixel_index(u, v)] = field_.x(u, v); });
   }
 
+  /// Calls visit(quad) for the quads of a rectangle that hold a part of the object.
   template <class Visit>
-  void for_each_quad(Visit&& visit) const {
-    for (int row = quads_.v0; row < quads_.v1; ++row) {
-      for (int column = quads_.u0; column < quads_.u1; ++column) {
-        if (nodes_on_object(field_, {column, row}) > 0) visit(QuadIndex{column, row});
-      }
-    }
+  void for_each_quad(const PixelRect& quads, Visit&& visit) const {
+    for_each_pixel(quads, [&](int column, int row) {
+      if (nodes_on_object(field_, {column, row}) > 0) visit(QuadIndex{column, row});
+    });
   }
 
   void add_parameters() {
-    for_each_quad([&](QuadIndex quad) {
+    for_each_quad(quads_, [&](QuadIndex quad) {
       double* block = x_.data() + quad_offset(quad);
       problem_->AddParameterBlock(block, 4);
       if (is_unknown(quad)) {
@@ -241,7 +224,7 @@ class TileProblem {
   }
 
   void add_costs(const TileOptions& options) {
-    for_each_quad([&](QuadIndex quad) {
+    for_each_quad(quads_, [&](QuadIndex quad) {
       if (nodes_on_object(field_, quad) < quad_px * quad_px) add(std::make_unique<OutsideCost>(field_, quad));
       for (const Axis axis : {Axis::u, Axis::v}) {
         if (nodes_on_object(field_, next_quad(quad, axis)) > 0)
@@ -292,10 +275,7 @@ double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
 std::vector<std::size_t> largest_first(const std::vector<Tile>& tiles, const Mask& object) {
   std::vector<int> unknowns(tiles.size(), 0);
   for (std::size_t i = 0; i < tiles.size(); ++i) {
-    const PixelRect& area = tiles[i].outer;
-    for (int v = area.v0; v < area.v1; ++v) {
-      for (int u = area.u0; u < area.u1; ++u) unknowns[i] += object(u, v) != 0 ? 1 : 0;
-    }
+    for_each_pixel(tiles[i].outer, object, [&](int, int) { ++unknowns[i]; });
   }
   std::vector<std::size_t> order(tiles.size());
   std::iota(order.begin(), order.end(), std::size_t{0});

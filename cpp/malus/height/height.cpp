@@ -116,11 +116,9 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
 void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
   constexpr int ring_px = GridSystem::reach;
   tile.ring_height = Image<float>(tile.size(), 1, none);
-  for (int v = box.v0; v < box.v1; ++v) {
-    for (int u = box.u0; u < box.u1; ++u) {
-      if (box.is_at_cut(u, v, ring_px, start.size())) tile.ring_height(u - box.u0, v - box.v0) = start(u, v);
-    }
-  }
+  for_each_pixel(box, [&](int u, int v) {
+    if (box.is_at_cut(u, v, ring_px, start.size())) tile.ring_height(u - box.u0, v - box.v0) = start(u, v);
+  });
 }
 
 /// One step in a tile.
