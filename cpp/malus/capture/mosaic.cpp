@@ -84,13 +84,11 @@ Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expecte
                          char color, const cv::Mat& cells) {
   const Size size = mosaic.size();
   Image<float> ratios(size), weights(size);
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
-      if (color_at(colors, u, v) != color) continue;
-      ratios(u, v) = mosaic(u, v) / std::max(expected(u, v), dark);
-      weights(u, v) = 1;
-    }
-  }
+  for_each_pixel(size, [&](int u, int v) {
+    if (color_at(colors, u, v) != color) return;
+    ratios(u, v) = mosaic(u, v) / std::max(expected(u, v), dark);
+    weights(u, v) = 1;
+  });
   const cv::Mat kernel = gaussian_kernel(color_smoothing_px);
   ratios = convolve(convolve(ratios, cells), kernel);
   weights = convolve(convolve(weights, cells), kernel);

@@ -78,9 +78,7 @@ CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object, int 
       object_(object),
       cell_px_(std::max(1, std::max(camera.size.width, camera.size.height) / cells_per_side)),
       cells_with_object_({camera.size.width / cell_px_ + 1, camera.size.height / cell_px_ + 1}) {
-  for (int v = 0; v < object.height(); ++v)
-    for (int u = 0; u < object.width(); ++u)
-      if (object(u, v) != 0) cells_with_object_(u / cell_px_, v / cell_px_) = 1;
+  for_each_pixel(object, [&](int u, int v) { cells_with_object_(u / cell_px_, v / cell_px_) = 1; });
 }
 
 CloudCoverage CoverageCounter::operator()(const PointCloud& cloud, const Eigen::Affine3d& cam_from_cloud) const {

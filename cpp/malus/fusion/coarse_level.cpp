@@ -77,9 +77,7 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
   coarse.kind = Image<Reflection>(size);
   auto pixels = Image<PixelData>::uninitialized(size);
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) add_coarse_pixel(fine, coarse, column, row);
-  });
+  parallel_pixels(context, size, [&](int column, int row) { add_coarse_pixel(fine, coarse, column, row); });
   coarse.object = nodes_of(coarse.pixels);
   parallel_pixels(context, coarse.object, [&](int column, int row) {
     PixelData& pixel = pixels(column, row) = coarse_light(fine, coarse, column, row);

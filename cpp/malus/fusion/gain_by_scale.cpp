@@ -42,37 +42,33 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     double weight;
     Stokes change, rest;
   };
-  for_each_row_of_cells(finest_px, rows, first_row, context, [&](int row, int begin, int end) {
+  const auto add_cell = [&](int column, int row, const PixelRect& of_cell) {
     std::vector<Pixel> pixels;
-    for (int column = 0; column < cells_.width(); ++column) {
-      pixels.clear();
-      Cell cell;
-      for (int v = begin; v < end; ++v) {
-        for (int u = column * finest_px; u < std::min((column + 1) * finest_px, part.size().width); ++u) {
-          if (!part.object(u, v) || !part.usable(u, v)) continue;
-          const double weight = stokes_weight(part, u, v);
-          const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
-          const PixelReflection reflection = part.reflection_at(u, v);
-          const PredictedStokes result = reflection.predict(slopes.p, slopes.q);
-          const PredictedStokes prior = reflection.predict(before.p, before.q);
-          const double of_s0 = weight_of_s0(part, u, v);
-          const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
-          const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
-                            of_s0 * (part.s0(u, v) - result.mirrored)};
-          pixels.push_back({weight, change, rest});
-          cell.weight += weight;
-          cell.change += change * weight;
-          cell.rest += rest * weight;
-        }
-      }
-      if (cell.weight <= 0) continue;
-      const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
-      const std::size_t index = cells_.size().index(column, row);
-      for (const Pixel& pixel : pixels)
-        within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
-      cells_[index] += cell;
-    }
-  });
+    Cell cell;
+    for_each_pixel(of_cell, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const double weight = stokes_weight(part, u, v);
+      const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
+      const PixelReflection reflection = part.reflection_at(u, v);
+      const PredictedStokes result = reflection.predict(slopes.p, slopes.q);
+      const PredictedStokes prior = reflection.predict(before.p, before.q);
+      const double of_s0 = weight_of_s0(part, u, v);
+      const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
+      const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
+                        of_s0 * (part.s0(u, v) - result.mirrored)};
+      pixels.push_back({weight, change, rest});
+      cell.weight += weight;
+      cell.change += change * weight;
+      cell.rest += rest * weight;
+    });
+    if (cell.weight <= 0) return;
+    const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
+    const std::size_t index = cells_.size().index(column, row);
+    for (const Pixel& pixel : pixels)
+      within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
+    cells_[index] += cell;
+  };
+  for_each_cell(finest_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cell_px, double of_rest,
@@ -95,9 +91,7 @@ GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cel
 
 Image<GainByScale::Cell> GainByScale::parents_of(const Image<Cell>& cells) {
   Image<Cell> parents({(cells.width() + 1) / 2, (cells.height() + 1) / 2});
-  for (int v = 0; v < cells.height(); ++v) {
-    for (int u = 0; u < cells.width(); ++u) parents(u / 2, v / 2) += cells(u, v);
-  }
+  for_each_pixel(cells.size(), [&](int u, int v) { parents(u / 2, v / 2) += cells(u, v); });
   return parents;
 }
 

@@ -48,15 +48,17 @@ struct StripField {
 };
 StripField strip_field(const RefinementImage& image, RowRange rows, int margin, const Context& context);
 
-/// Calls body(row, begin, end) for every row of cells over some rows of a part, on the context's threads: `row` counts
-/// from the image's first row of cells, and [begin, end) are the part's rows in it. `first_row`: the part's first row,
-/// in the image.
+/// Calls body(column, row, pixels) for every cell with some of the rows of a part of the image, on the context's
+/// threads: column and row count from the image's first cell, and `pixels` are those of the rows, in the part.
+/// `first_row`: the part's first row, in the image.
 template <class Body>
-void for_each_row_of_cells(int cell_px, RowRange rows, int first_row, const Context& context, Body&& body) {
+void for_each_cell(int cell_px, int width, RowRange rows, int first_row, const Context& context, Body&& body) {
   const int first = (first_row + rows.begin) / cell_px, last = (first_row + rows.end - 1) / cell_px;
-  parallel_rows(context, last - first + 1, [&](int i) {
-    const int row = first + i;
-    body(row, std::max(row * cell_px - first_row, rows.begin), std::min((row + 1) * cell_px - first_row, rows.end));
+  const PixelRect in_rows{0, rows.begin, width, rows.end};
+  const Size cells{cells_over({width, 1}, cell_px).width, last - first + 1};
+  parallel_pixels(context, cells, [&](int column, int i) {
+    const int u0 = column * cell_px, v0 = (first + i) * cell_px - first_row;
+    body(column, first + i, in_rows.intersected({u0, v0, u0 + cell_px, v0 + cell_px}));
   });
 }
 

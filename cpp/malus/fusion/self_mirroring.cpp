@@ -54,9 +54,7 @@ Mask self_mirroring_pixels(const RefinementImage& image, const Context& context)
   if (std::max(image.size().width, image.size().height) >= 2 * fine_enough_px &&
       std::max(object.width(), object.height()) >= fine_enough_px) {
     const Mask coarse = self_mirroring_pixels(coarsened(image, context), context);
-    parallel_rows(context, pixels.height(), [&](int v) {
-      for (int u = 0; u < pixels.width(); ++u) pixels(u, v) = image.pixels(u, v) ? coarse(u / 2, v / 2) : 0;
-    });
+    parallel_pixels(context, image.pixels, [&](int u, int v) { pixels(u, v) = coarse(u / 2, v / 2); });
     return pixels;
   }
   const Image<double> depths = pixel_depths(image, context);

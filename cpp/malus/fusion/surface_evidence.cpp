@@ -31,27 +31,26 @@ ExplainedPolarization::ExplainedPolarization(Size image, const Eigen::Vector3d& 
     : cells_(cells_over(image, cell_px)), mean_normal_(mean_normal) {}
 
 void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
-  for_each_row_of_cells(cell_px, rows, first_row, context, [&](int row, int begin, int end) {
-    for (int v = begin; v < end; ++v) {
-      for (int u = 0; u < part.size().width; ++u) {
-        if (!part.object(u, v) || !part.usable(u, v)) continue;
-        const Slopes slopes = central_slopes(part, u, v);
-        const RayFrame frame = part.frame_at(u, v);
-        const PixelReflection reflection = part.reflection_at(u, v, frame);
-        const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
-        const Slopes flat = frame.slopes(mean_normal_);
-        const PredictedStokes plane = reflection.predict(flat.p, flat.q);
-        Cell& cell = cells_(u / cell_px, row);
-        cell.s1 += part.s1(u, v);
-        cell.s2 += part.s2(u, v);
-        cell.model_s1 += model.s1;
-        cell.model_s2 += model.s2;
-        cell.plane_s1 += plane.s1;
-        cell.plane_s2 += plane.s2;
-        ++cell.pixels;
-      }
-    }
-  });
+  for_each_cell(cell_px, part.size().width, rows, first_row, context,
+                [&](int column, int row, const PixelRect& pixels) {
+                  Cell& cell = cells_(column, row);
+                  for_each_pixel(pixels, part.usable, [&](int u, int v) {
+                    if (!part.object(u, v)) return;
+                    const Slopes slopes = central_slopes(part, u, v);
+                    const RayFrame frame = part.frame_at(u, v);
+                    const PixelReflection reflection = part.reflection_at(u, v, frame);
+                    const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
+                    const Slopes flat = frame.slopes(mean_normal_);
+                    const PredictedStokes plane = reflection.predict(flat.p, flat.q);
+                    cell.s1 += part.s1(u, v);
+                    cell.s2 += part.s2(u, v);
+                    cell.model_s1 += model.s1;
+                    cell.model_s2 += model.s2;
+                    cell.plane_s1 += plane.s1;
+                    cell.plane_s2 += plane.s2;
+                    ++cell.pixels;
+                  });
+                });
 }
 
 Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& context) const {
@@ -76,25 +75,20 @@ ExplainedByResult::ExplainedByResult(Size image)
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
-  for_each_row_of_cells(cell_px, rows, first_row, context, [&](int row, int begin, int end) {
-    std::vector<double> rests, all;
-    for (int column = 0; column < shares_.width(); ++column) {
-      rests.clear();
-      all.clear();
-      for (int v = begin; v < end; ++v) {
-        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, part.size().width); ++u) {
-          if (!part.object(u, v) || !part.usable(u, v)) continue;
+  for_each_cell(
+      cell_px, part.size().width, rows, first_row, context, [&](int column, int row, const PixelRect& pixels) {
+        std::vector<double> rests, all;
+        for_each_pixel(pixels, part.usable, [&](int u, int v) {
+          if (!part.object(u, v)) return;
           const Slopes slopes = central_slopes(part, u, v);
           const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
           rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
           all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
-        }
-      }
-      if (rests.size() < fewest) continue;
-      shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
-      weights_(column, row) = 1;
-    }
-  });
+        });
+        if (rests.size() < fewest) return;
+        shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
+        weights_(column, row) = 1;
+      });
 }
 
 Image<float> ExplainedByResult::shares(const Context& context) const {

@@ -134,9 +134,8 @@ HeightData coarsened(const HeightData& fine, const Context& context) {
   const Size size{(fine.size().width + 1) / 2, (fine.size().height + 1) / 2};
   HeightData coarse = empty_data(size, fine.refractive_index, fine.perspective);
   if (fine.camera) coarse.camera = fine.camera->binned();
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row);
-  });
+  parallel_pixels(context, size,
+                  [&](int column, int row) { coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row); });
   return coarse;
 }
 
