@@ -68,7 +68,6 @@ void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int 
 RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   RefinementImage coarse;
   coarse.camera = fine.camera.binned();
-  coarse.focal = fine.focal / 2;
   coarse.log_depth_origin = fine.log_depth_origin;
   coarse.reflection = fine.reflection;
   coarse.shading = fine.shading;

@@ -121,7 +121,7 @@ bool looks_like_metal(const RefinementImage& image) {
 /// whose brightness changes with roughness and color, they are ten times larger.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
   constexpr double longest = 1.6;
-  const double gsd = image.depth_of(0) / image.focal;
+  const double gsd = image.depth_of(0) / image.camera.focal();
   const double length = anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
   constexpr double of_metal = 0.3;
   if (image.reflection.metal_error > 0) return of_metal * length;
@@ -380,8 +380,8 @@ class Refiner {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
         for (int u = 0; u < size.width; ++u) {
           if (!image_.pixels(u, v)) continue;
-          surface.depth(u, v) =
-              static_cast<float>(prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.focal));
+          surface.depth(u, v) = static_cast<float>(
+              prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.camera.focal()));
           // Systematic errors of the prior do not average out: sigma must not fall below them.
           const bool is_noise = prior.noise > 0 || prior.sigma.empty();
           surface.sigma(u, v) = is_noise ? sigma(u, strip_v) : std::max(sigma(u, strip_v), prior.sigma(u, v));

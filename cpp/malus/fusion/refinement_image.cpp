@@ -86,7 +86,6 @@ double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
 RefinementField RefinementImage::part(const PixelRect& rect, const Context& context) const {
   RefinementField field;
   field.camera = camera.cropped(rect);
-  field.focal = focal;
   field.log_depth_origin = log_depth_origin;
   field.object = cropped(object, rect);
   field.usable = cropped(usable, rect);
@@ -129,7 +128,6 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   if (!prior.sigma.empty()) require_size(prior.sigma, size, "the prior's sigma");
   RefinementImage image;
   image.camera = prior.camera;
-  image.focal = prior.camera.focal();
   const Size nodes{size.width + 1, size.height + 1};
   image.pixels = image.usable = Mask(nodes);
   parallel_pixels(context, size, [&](int u, int v) {

@@ -31,7 +31,7 @@ bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, d
   const RayFrame frame = image.frame_at(u, v);
   const Eigen::Vector3d normal = frame.normal(slopes);
   const Eigen::Vector3d light = 2 * normal.dot(frame.view) * normal - frame.view;
-  const double gsd = depths(u, v) / image.focal;
+  const double gsd = depths(u, v) / camera.focal();
   const Eigen::Vector3d origin = camera.ray(u, v) * depths(u, v) + lift * gsd * normal;
   for (double way = start; way < farthest * side; way += std::max(step, growth * way)) {
     const Eigen::Vector3d at = origin + way * gsd * light;

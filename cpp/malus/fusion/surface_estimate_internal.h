@@ -19,7 +19,6 @@ namespace malus {
 /// the pixels along each axis; the last column and row have nodes only.
 struct SurfaceEstimate {
   Pinhole camera;
-  double focal = 1;
   double log_depth_origin = 0;
   Mask object;  ///< corner nodes of the object's pixels
   Mask usable;  ///< pixels whose polarization may be used; all their nodes exist
@@ -34,7 +33,7 @@ struct SurfaceEstimate {
   bool is_object(int u, int v) const { return object.contains(u, v) && object(u, v) != 0; }
   bool has_other_finish(int u, int v) const { return !other_finish.empty() && other_finish(u, v) != 0; }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
-  double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
+  double depth_of(double value) const { return std::exp(value / camera.focal() + log_depth_origin); }
 };
 
 /// Corner nodes of pixels; both masks have the nodes' raster.

@@ -109,7 +109,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   const Image<float> contour = contour_sigma(field, context);
   Image<float> sigma(field.size(), 1, none);
   parallel_pixels(context, field.object, [&](int u, int v) {
-    const double gsd = field.depth_of(field.x(u, v)) / field.focal, share = trust(u, v) / 255.0;
+    const double gsd = field.depth_of(field.x(u, v)) / field.camera.focal(), share = trust(u, v) / 255.0;
     const double refined = of_prior * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
     sigma(u, v) =
         static_cast<float>(gsd * std::sqrt(share * refined + (1 - share) * prior(u, v) + square(contour(u, v))));

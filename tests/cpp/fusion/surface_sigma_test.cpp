@@ -58,7 +58,7 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
   update_weights(field, {}, Context{});
   Image<float> sigma = surface_sigma(field, Image<std::uint8_t>(field.size(), 1, trust), errors, Context{});
   for (std::size_t i = 0; i < sigma.count(); ++i) {
-    if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.focal);
+    if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.camera.focal());
   }
   return sigma;
 }
