@@ -119,15 +119,13 @@ Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, cons
       };
       result.of_polarizer[p] = convolve(interpolate(size, p, contrast), kernel);
     });
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        float sum = 0;
-        for (const Image<float>& channel : result.of_polarizer) sum += channel(u, v);
-        for (Image<float>& channel : result.of_polarizer) {
-          channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
-        }
-        mean(u, v) = mosaic(u, v) / (1 + result.of_polarizer[cell_of(u, v)](u, v));
+    parallel_pixels(context, size, [&](int u, int v) {
+      float sum = 0;
+      for (const Image<float>& channel : result.of_polarizer) sum += channel(u, v);
+      for (Image<float>& channel : result.of_polarizer) {
+        channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
       }
+      mean(u, v) = mosaic(u, v) / (1 + result.of_polarizer[cell_of(u, v)](u, v));
     });
   }
   return result;
@@ -163,17 +161,15 @@ MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const 
   Contrasts sharp = contrasts(mosaic, fine, context);
   const Image<float> share = share_of_fine(smooth);
   MosaicSplit result{.channels = std::move(sharp.of_polarizer), .shared = Image<float>(size)};
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const float weight = share(u, v);
-      for (std::size_t p = 0; p < 4; ++p) {
-        float& contrast = result.channels[p](u, v);
-        contrast = weight * contrast + (1 - weight) * smooth.of_polarizer[p](u, v);
-      }
-      const float mean = mosaic(u, v) / (1 + result.channels[cell_of(u, v)](u, v));
-      for (Image<float>& channel : result.channels) channel(u, v) = mean * (1 + channel(u, v));
-      result.shared(u, v) = static_cast<float>(weight * fine.shared() + (1 - weight) * coarse.shared());
+  parallel_pixels(context, size, [&](int u, int v) {
+    const float weight = share(u, v);
+    for (std::size_t p = 0; p < 4; ++p) {
+      float& contrast = result.channels[p](u, v);
+      contrast = weight * contrast + (1 - weight) * smooth.of_polarizer[p](u, v);
     }
+    const float mean = mosaic(u, v) / (1 + result.channels[cell_of(u, v)](u, v));
+    for (Image<float>& channel : result.channels) channel(u, v) = mean * (1 + channel(u, v));
+    result.shared(u, v) = static_cast<float>(weight * fine.shared() + (1 - weight) * coarse.shared());
   });
   return result;
 }
@@ -187,24 +183,22 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
     const char letter = "RGB"[c];
     Image<float>& plane = result[c];
     plane = Image<float>(size);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (color_at(colors, u, v) == letter) {
-          plane(u, v) = mosaic(u, v);
-          continue;
-        }
-        // Samples of the same polarizer are two pixels apart.
-        float sum = 0, weight = 0;
-        for (int j = -2; j <= 2; j += 2) {
-          for (int i = -2; i <= 2; i += 2) {
-            if (!mosaic.contains(u + i, v + j) || color_at(colors, u + i, v + j) != letter) continue;
-            const float use = i == 0 || j == 0 ? 2.0f : 1.0f;
-            sum += use * mosaic(u + i, v + j);
-            weight += use;
-          }
-        }
-        plane(u, v) = sum / weight;
+    parallel_pixels(context, size, [&](int u, int v) {
+      if (color_at(colors, u, v) == letter) {
+        plane(u, v) = mosaic(u, v);
+        return;
       }
+      // Samples of the same polarizer are two pixels apart.
+      float sum = 0, weight = 0;
+      for (int j = -2; j <= 2; j += 2) {
+        for (int i = -2; i <= 2; i += 2) {
+          if (!mosaic.contains(u + i, v + j) || color_at(colors, u + i, v + j) != letter) continue;
+          const float use = i == 0 || j == 0 ? 2.0f : 1.0f;
+          sum += use * mosaic(u + i, v + j);
+          weight += use;
+        }
+      }
+      plane(u, v) = sum / weight;
     });
   }
   return result;
@@ -223,11 +217,9 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
       result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells);
     }
     Image<float> grey(size);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
-        grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
-      }
+    parallel_pixels(context, size, [&](int u, int v) {
+      const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
+      grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
     });
     result.grey = demosaic(grey, name, context);
     parallel_rows(context, size.height, [&](int v) {
