@@ -46,9 +46,8 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
     const Mask before = result;
     for_each_pixel(mask.size(), [&](int u, int v) {
       if (before(u, v) || !object(u, v)) return;
-      const bool near = (u > 0 && before(u - 1, v)) || (v > 0 && before(u, v - 1)) ||
-                        (u + 1 < mask.width() && before(u + 1, v)) || (v + 1 < mask.height() && before(u, v + 1));
-      if (near) result(u, v) = 255;
+      const auto is_set = [&](int i, int j) { return before.contains(i, j) && before(i, j) != 0; };
+      if (is_set(u - 1, v) || is_set(u, v - 1) || is_set(u + 1, v) || is_set(u, v + 1)) result(u, v) = 255;
     });
   }
   return result;
@@ -58,20 +57,16 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
 /// in over 3 pixels.
 void move_region(const PixelSet& region, const Image<double>& difference, const Mask& object,
                  Image<int>& depth_in_region, Image<double>& x) {
-  const int width = object.width(), height = object.height();
-  const auto at = [&](std::size_t pixel) {
-    return std::pair{static_cast<int>(pixel % static_cast<std::size_t>(width)),
-                     static_cast<int>(pixel / static_cast<std::size_t>(width))};
-  };
+  const auto width = static_cast<std::size_t>(object.width());
   for (const std::size_t pixel : region) depth_in_region[pixel] = grow_px;
   std::vector<double> ring;
   for (int layer = 1; layer < grow_px; ++layer) {
     for (const std::size_t pixel : region) {
       if (depth_in_region[pixel] < layer) continue;
-      const auto [u, v] = at(pixel);
+      const int u = static_cast<int>(pixel % width), v = static_cast<int>(pixel / width);
       for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
         const int nu = u + du, nv = v + dv;
-        if (nu < 0 || nv < 0 || nu >= width || nv >= height || !object(nu, nv)) continue;
+        if (!object.contains(nu, nv) || !object(nu, nv)) continue;
         if (depth_in_region(nu, nv) == layer - 1) depth_in_region[pixel] = std::min(depth_in_region[pixel], layer);
         if (layer == 1 && depth_in_region(nu, nv) == 0) ring.push_back(difference(nu, nv));
       }
