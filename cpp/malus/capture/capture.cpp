@@ -175,14 +175,9 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     std::ranges::move(split.grey.channels, exposures.images.begin());
     shared = std::move(split.grey.shared);
     // Users select a single color because the colors are polarized differently.
-    const auto used = std::ranges::count_if(weights, [](double weight) { return weight != 0; });
-    if (used == 1) {
-      const auto c =
-          static_cast<std::size_t>(std::ranges::find_if(weights, [](double w) { return w != 0; }) - weights.begin());
-      MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[c], name, context);
-      for (Image<float>& channel : plane.channels) {
-        for (float& value : channel) value *= static_cast<float>(weights[c]);
-      }
+    const auto single = static_cast<std::size_t>(std::ranges::find(weights, 1.0) - weights.begin());
+    if (single < weights.size()) {
+      MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[single], name, context);
       std::ranges::move(plane.channels, exposures.images.begin());
     }
   }

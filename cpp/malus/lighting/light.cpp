@@ -22,26 +22,18 @@ struct Sample {
 /// Samples per task of a thread.
 constexpr std::size_t grain = 4096;
 
-/// Weighted least squares for the coefficients of the basis.
-struct NormalEquations {
-  Eigen::Matrix4d matrix = Eigen::Matrix4d::Zero();
-  Eigen::Vector4d right = Eigen::Vector4d::Zero();
-
-  NormalEquations& operator+=(const NormalEquations& other) {
-    matrix += other.matrix;
-    right += other.right;
-    return *this;
-  }
-};
+/// Weighted least squares for the coefficients of the basis: the matrix, and the right-hand side as a fifth column.
+using NormalEquations = Eigen::Matrix<double, 4, 5>;
 
 NormalEquations normal_equations(const std::vector<Sample>& samples, const std::vector<double>& weights,
                                  const Context& context) {
-  return parallel_sum(context, samples.size(), grain, NormalEquations{}, [&](std::size_t begin, std::size_t end) {
-    NormalEquations sum;
+  const NormalEquations zero = NormalEquations::Zero();
+  return parallel_sum(context, samples.size(), grain, zero, [&](std::size_t begin, std::size_t end) {
+    NormalEquations sum = zero;
     for (std::size_t i = begin; i < end; ++i) {
       const Eigen::Vector4d weighted = weights[i] * samples[i].basis;
-      sum.matrix += weighted * samples[i].basis.transpose();
-      sum.right += samples[i].intensity * weighted;
+      sum.leftCols<4>() += weighted * samples[i].basis.transpose();
+      sum.col(4) += samples[i].intensity * weighted;
     }
     return sum;
   });
@@ -129,14 +121,14 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
   for (int iteration = 0; iteration < options.iterations; ++iteration) {
     context.check_cancel();
     const NormalEquations equations = normal_equations(samples, weights, context);
-    const Eigen::MatrixXd used = equations.matrix.topLeftCorner(unknowns, unknowns);
+    const Eigen::MatrixXd used = equations.topLeftCorner(unknowns, unknowns);
     const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(used).eigenvalues();
     light.condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
     if (!(light.condition <= options.max_condition)) {
       light.status = LightStatus::normals_alike;
       return light;
     }
-    light.coefficients.head(unknowns) = used.ldlt().solve(equations.right.head(unknowns));
+    light.coefficients.head(unknowns) = used.ldlt().solve(equations.col(4).head(unknowns));
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
     light.robust_sigma = reweigh(residuals, options.outlier_scale, weights);
