@@ -31,26 +31,23 @@ ExplainedPolarization::ExplainedPolarization(Size image, const Eigen::Vector3d& 
     : cells_(cells_over(image, cell_px)), mean_normal_(mean_normal) {}
 
 void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
-  for_each_cell(cell_px, part.size().width, rows, first_row, context,
-                [&](int column, int row, const PixelRect& pixels) {
-                  Cell& cell = cells_(column, row);
-                  for_each_pixel(pixels, part.usable, [&](int u, int v) {
-                    if (!part.object(u, v)) return;
-                    const Slopes slopes = central_slopes(part, u, v);
-                    const RayFrame frame = part.frame_at(u, v);
-                    const PixelReflection reflection = part.reflection_at(u, v, frame);
-                    const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
-                    const Slopes flat = frame.slopes(mean_normal_);
-                    const PredictedStokes plane = reflection.predict(flat.p, flat.q);
-                    cell.s1 += part.s1(u, v);
-                    cell.s2 += part.s2(u, v);
-                    cell.model_s1 += model.s1;
-                    cell.model_s2 += model.s2;
-                    cell.plane_s1 += plane.s1;
-                    cell.plane_s2 += plane.s2;
-                    ++cell.pixels;
-                  });
-                });
+  const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
+    Cell& cell = cells_(column, row);
+    for_each_pixel(pixels, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const Slopes slopes = central_slopes(part, u, v);
+      const RayFrame frame = part.frame_at(u, v);
+      const PixelReflection reflection = part.reflection_at(u, v, frame);
+      const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
+      const Slopes flat = frame.slopes(mean_normal_);
+      const PredictedStokes plane = reflection.predict(flat.p, flat.q);
+      cell.measured += Eigen::Vector2d(part.s1(u, v), part.s2(u, v));
+      cell.model += Eigen::Vector2d(model.s1, model.s2);
+      cell.plane += Eigen::Vector2d(plane.s1, plane.s2);
+      ++cell.pixels;
+    });
+  };
+  for_each_cell(cell_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& context) const {
@@ -59,9 +56,8 @@ Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& c
   Image<float> shares(cells_.size()), weights(cells_.size());
   for (std::size_t i = 0; i < cells_.count(); ++i) {
     const Cell& cell = cells_[i];
-    const double rest = std::pow(cell.s1 - cell.model_s1, 2) + std::pow(cell.s2 - cell.model_s2, 2);
-    const double known = beyond_a_plane ? 1 : 0;
-    const double all = std::pow(cell.s1 - known * cell.plane_s1, 2) + std::pow(cell.s2 - known * cell.plane_s2, 2);
+    const double rest = (cell.measured - cell.model).squaredNorm(), known = beyond_a_plane ? 1 : 0;
+    const double all = (cell.measured - known * cell.plane).squaredNorm();
     if (cell.pixels < fewest || rest + all <= 0) continue;
     shares[i] = static_cast<float>(1 - 2 * rest / (rest + all));
     weights[i] = static_cast<float>(cell.pixels) / full;
@@ -75,20 +71,20 @@ ExplainedByResult::ExplainedByResult(Size image)
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
-  for_each_cell(
-      cell_px, part.size().width, rows, first_row, context, [&](int column, int row, const PixelRect& pixels) {
-        std::vector<double> rests, all;
-        for_each_pixel(pixels, part.usable, [&](int u, int v) {
-          if (!part.object(u, v)) return;
-          const Slopes slopes = central_slopes(part, u, v);
-          const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
-          rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
-          all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
-        });
-        if (rests.size() < fewest) return;
-        shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
-        weights_(column, row) = 1;
-      });
+  const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
+    std::vector<double> rests, all;
+    for_each_pixel(pixels, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const Slopes slopes = central_slopes(part, u, v);
+      const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
+      rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
+      all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
+    });
+    if (rests.size() < fewest) return;
+    shares_(column, row) = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
+    weights_(column, row) = 1;
+  };
+  for_each_cell(cell_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 Image<float> ExplainedByResult::shares(const Context& context) const {
