@@ -32,15 +32,11 @@ double mean_of(const Image<float>& image) {
   return std::accumulate(image.begin(), image.end(), 0.0) / static_cast<double>(image.count());
 }
 
-Eigen::MatrixX3d rows_of(const std::vector<double>& angles_rad) {
-  return polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
-}
-
 /// Brightness of image k over that of the sinusoid through the other images; 1 if the other images are not consistent.
 double brightness_beside_others(std::size_t k, const std::vector<double>& means,
                                 const std::vector<double>& angles_rad) {
   const auto others = static_cast<double>(means.size() - 1);
-  const Eigen::MatrixX3d all = rows_of(angles_rad);
+  const Eigen::MatrixX3d all = polarizer_rows(angles_rad);
   Eigen::MatrixX3d rows = all;
   Eigen::VectorXd values = Eigen::Map<const Eigen::VectorXd>(means.data(), all.rows());
   const auto left_out = static_cast<Eigen::Index>(k);
@@ -56,7 +52,7 @@ double brightness_beside_others(std::size_t k, const std::vector<double>& means,
 
 /// Whether the images are computed ones without noise, of which two may well be equal.
 bool follow_sinusoid(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad) {
-  const Eigen::MatrixX3d rows = rows_of(angles_rad);
+  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad);
   const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors(rows);
   double left = 0, all = 0;
   Eigen::VectorXd values(rows.rows());

@@ -11,6 +11,7 @@
 #include "malus/capture/noise_internal.h"
 #include "malus/capture/resampling_internal.h"
 #include "malus/capture/response_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -178,14 +179,9 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     std::ranges::move(split.grey.channels, exposures.images.begin());
     shared = std::move(split.grey.shared);
     // Users select a single color because the colors are polarized differently.
-    const auto used = std::ranges::count_if(weights, [](double weight) { return weight != 0; });
-    if (used == 1) {
-      const auto c =
-          static_cast<std::size_t>(std::ranges::find_if(weights, [](double w) { return w != 0; }) - weights.begin());
-      MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[c], name, context);
-      for (Image<float>& channel : plane.channels) {
-        for (float& value : channel) value *= static_cast<float>(weights[c]);
-      }
+    const auto single = static_cast<std::size_t>(std::ranges::find(weights, 1.0) - weights.begin());
+    if (single < weights.size()) {
+      MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[single], name, context);
       std::ranges::move(plane.channels, exposures.images.begin());
     }
   }
@@ -261,12 +257,10 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
 Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& context) {
   if (map.is_identity()) return mask;
   Mask result(mask.size());
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      const Eigen::Vector2d at = map(u, v);
-      if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) continue;
-      result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
-    }
+  parallel_pixels(context, mask.size(), [&](int u, int v) {
+    const Eigen::Vector2d at = map(u, v);
+    if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) return;
+    result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
   });
   return result;
 }
@@ -308,15 +302,6 @@ Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const 
   return std::move(merged);
 }
 
-double unsaturated_share(const Layer& layer, const Mask& object) {
-  double all = 0, good = 0;
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    all += object[i] != 0;
-    good += object[i] != 0 && layer.saturated[i] == 0;
-  }
-  return all > 0 ? good / all : 1;
-}
-
 /// Resamples the images into the stack, one per polarizer position.
 void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
                 const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
@@ -329,7 +314,7 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
       const ResamplingMap map(input.lens, maps[k]);
       layers.push_back(resample_layer(exposures, k, map, interpolation, stack.mask, context));
       ratios.push_back(exposure_ratio(input.polarized, k));
-      if (groups[g].size() > 1) unsaturated.push_back(unsaturated_share(layers.back(), stack.mask));
+      if (groups[g].size() > 1) unsaturated.push_back(1 - share_within(layers.back().saturated, stack.mask));
     }
     if (layers.size() > 1 && g == 0) stack.noise = merged_noise(exposures.noise, ratios, unsaturated);
     Layer layer =

@@ -64,14 +64,18 @@ char color_at(const std::string& colors, int u, int v) {
   return colors[cell_of(u / 2, v / 2)];
 }
 
-void require_color_cells(const Image<float>& mosaic, const std::string& name) {
+/// Throws an input error unless a mosaic has one channel and consists of whole cells of this side, `described` in
+/// words.
+void require_cells(const Image<float>& mosaic, int side, const std::string& described, const std::string& name) {
   const Size size = mosaic.size();
   if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
-  if (size.width % 4 != 0 || size.height % 4 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(
-        name + " is " + to_string(size) +
-        " pixels; a color mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8");
-  }
+  if (size.width % side != 0 || size.height % side != 0 || size.width < 8 || size.height < 8)
+    throw input_error(name + " is " + to_string(size) + " pixels; " + described);
+}
+
+void require_color_cells(const Image<float>& mosaic, const std::string& name) {
+  require_cells(mosaic, 4, "a color mosaic of 4 x 4 cells has a width and height that are multiples of 4, at least 8",
+                name);
 }
 
 /// Ratio of one color's samples to their expected values without color, smoothed and interpolated to all pixels. The
@@ -80,13 +84,11 @@ Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expecte
                          char color, const cv::Mat& cells) {
   const Size size = mosaic.size();
   Image<float> ratios(size), weights(size);
-  for (int v = 0; v < size.height; ++v) {
-    for (int u = 0; u < size.width; ++u) {
-      if (color_at(colors, u, v) != color) continue;
-      ratios(u, v) = mosaic(u, v) / std::max(expected(u, v), dark);
-      weights(u, v) = 1;
-    }
-  }
+  for_each_pixel(size, [&](int u, int v) {
+    if (color_at(colors, u, v) != color) return;
+    ratios(u, v) = mosaic(u, v) / std::max(expected(u, v), dark);
+    weights(u, v) = 1;
+  });
   const cv::Mat kernel = gaussian_kernel(color_smoothing_px);
   ratios = convolve(convolve(ratios, cells), kernel);
   weights = convolve(convolve(weights, cells), kernel);
@@ -117,15 +119,13 @@ Contrasts contrasts(const Image<float>& mosaic, const Smoothing& smoothing, cons
       };
       result.of_polarizer[p] = convolve(interpolate(size, p, contrast), kernel);
     });
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        float sum = 0;
-        for (const Image<float>& channel : result.of_polarizer) sum += channel(u, v);
-        for (Image<float>& channel : result.of_polarizer) {
-          channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
-        }
-        mean(u, v) = mosaic(u, v) / (1 + result.of_polarizer[cell_of(u, v)](u, v));
+    parallel_pixels(context, size, [&](int u, int v) {
+      float sum = 0;
+      for (const Image<float>& channel : result.of_polarizer) sum += channel(u, v);
+      for (Image<float>& channel : result.of_polarizer) {
+        channel(u, v) = std::max(channel(u, v) - sum / 4, -0.95f);
       }
+      mean(u, v) = mosaic(u, v) / (1 + result.of_polarizer[cell_of(u, v)](u, v));
     });
   }
   return result;
@@ -156,26 +156,20 @@ Image<float> share_of_fine(const Contrasts& smooth) {
 
 MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const Context& context) {
   const Size size = mosaic.size();
-  if (mosaic.channels() != 1) throw input_error(name + ": a polarization mosaic has one channel, this image has 3");
-  if (size.width % 2 != 0 || size.height % 2 != 0 || size.width < 8 || size.height < 8) {
-    throw input_error(name + " is " + to_string(size) +
-                      " pixels; a mosaic of 2 x 2 cells has an even width and height of at least 8");
-  }
+  require_cells(mosaic, 2, "a mosaic of 2 x 2 cells has an even width and height of at least 8", name);
   const Contrasts smooth = contrasts(mosaic, coarse, context);
   Contrasts sharp = contrasts(mosaic, fine, context);
   const Image<float> share = share_of_fine(smooth);
   MosaicSplit result{.channels = std::move(sharp.of_polarizer), .shared = Image<float>(size)};
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const float weight = share(u, v);
-      for (std::size_t p = 0; p < 4; ++p) {
-        float& contrast = result.channels[p](u, v);
-        contrast = weight * contrast + (1 - weight) * smooth.of_polarizer[p](u, v);
-      }
-      const float mean = mosaic(u, v) / (1 + result.channels[cell_of(u, v)](u, v));
-      for (Image<float>& channel : result.channels) channel(u, v) = mean * (1 + channel(u, v));
-      result.shared(u, v) = static_cast<float>(weight * fine.shared() + (1 - weight) * coarse.shared());
+  parallel_pixels(context, size, [&](int u, int v) {
+    const float weight = share(u, v);
+    for (std::size_t p = 0; p < 4; ++p) {
+      float& contrast = result.channels[p](u, v);
+      contrast = weight * contrast + (1 - weight) * smooth.of_polarizer[p](u, v);
     }
+    const float mean = mosaic(u, v) / (1 + result.channels[cell_of(u, v)](u, v));
+    for (Image<float>& channel : result.channels) channel(u, v) = mean * (1 + channel(u, v));
+    result.shared(u, v) = static_cast<float>(weight * fine.shared() + (1 - weight) * coarse.shared());
   });
   return result;
 }
@@ -189,24 +183,22 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
     const char letter = "RGB"[c];
     Image<float>& plane = result[c];
     plane = Image<float>(size);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (color_at(colors, u, v) == letter) {
-          plane(u, v) = mosaic(u, v);
-          continue;
-        }
-        // Samples of the same polarizer are two pixels apart.
-        float sum = 0, weight = 0;
-        for (int j = -2; j <= 2; j += 2) {
-          for (int i = -2; i <= 2; i += 2) {
-            if (!mosaic.contains(u + i, v + j) || color_at(colors, u + i, v + j) != letter) continue;
-            const float use = i == 0 || j == 0 ? 2.0f : 1.0f;
-            sum += use * mosaic(u + i, v + j);
-            weight += use;
-          }
-        }
-        plane(u, v) = sum / weight;
+    parallel_pixels(context, size, [&](int u, int v) {
+      if (color_at(colors, u, v) == letter) {
+        plane(u, v) = mosaic(u, v);
+        return;
       }
+      // Samples of the same polarizer are two pixels apart.
+      float sum = 0, weight = 0;
+      for (int j = -2; j <= 2; j += 2) {
+        for (int i = -2; i <= 2; i += 2) {
+          if (!mosaic.contains(u + i, v + j) || color_at(colors, u + i, v + j) != letter) continue;
+          const float use = i == 0 || j == 0 ? 2.0f : 1.0f;
+          sum += use * mosaic(u + i, v + j);
+          weight += use;
+        }
+      }
+      plane(u, v) = sum / weight;
     });
   }
   return result;
@@ -225,11 +217,9 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
       result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells);
     }
     Image<float> grey(size);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
-        grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
-      }
+    parallel_pixels(context, size, [&](int u, int v) {
+      const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
+      grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
     });
     result.grey = demosaic(grey, name, context);
     parallel_rows(context, size.height, [&](int v) {

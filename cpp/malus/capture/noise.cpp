@@ -57,12 +57,10 @@ LinearImage samples_of_one_filter(const LinearImage& mosaic, const std::string& 
   const Size size = mosaic.intensity.size();
   const Size alike{(size.width - u0 + period - 1) / period, (size.height - v0 + period - 1) / period};
   LinearImage samples{Image<float>(alike), Mask(alike)};
-  for (int v = 0; v < alike.height; ++v) {
-    for (int u = 0; u < alike.width; ++u) {
-      samples.intensity(u, v) = mosaic.intensity(u0 + period * u, v0 + period * v);
-      samples.saturated(u, v) = mosaic.saturated(u0 + period * u, v0 + period * v);
-    }
-  }
+  for_each_pixel(alike, [&](int u, int v) {
+    samples.intensity(u, v) = mosaic.intensity(u0 + period * u, v0 + period * v);
+    samples.saturated(u, v) = mosaic.saturated(u0 + period * u, v0 + period * v);
+  });
   return samples;
 }
 

@@ -14,6 +14,7 @@
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 
 namespace malus {
 namespace {
@@ -76,16 +77,8 @@ double mean_square_displacement(const Matrix6& covariance, Size size) {
   return sum / 5;
 }
 
-struct Region {
-  int u0, v0, u1, v1;  ///< half open
-  bool empty() const { return u1 <= u0 || v1 <= v0; }
-  Region intersected(const Region& other) const {
-    return {std::max(u0, other.u0), std::max(v0, other.v0), std::min(u1, other.u1), std::min(v1, other.v1)};
-  }
-};
-
 /// Pixels whose band is free of border effects in every image.
-Region common_region(const std::vector<Affine>& maps, Size size, int margin) {
+PixelRect common_region(const std::vector<Affine>& maps, Size size, int margin) {
   double left = 0, top = 0, right = 0, bottom = 0;
   for (const Affine& map : maps) {
     for (const Eigen::Vector2d& corner : corners_and_center(size)) {
@@ -102,7 +95,7 @@ Region common_region(const std::vector<Affine>& maps, Size size, int margin) {
 
 /// A part of the image that is processed at once, small enough for a processor's cache.
 struct Block {
-  Region pixels;
+  PixelRect pixels;
   double energy = 0;  ///< of the texture
 };
 constexpr int block_rows = 32;
@@ -116,7 +109,7 @@ std::vector<std::vector<Block>> choose_blocks(const ContrastBands& contrast, con
   std::vector<std::vector<Block>> tiles(tiles_across * tiles_down);
   for (int v = 0; v < size.height; v += block_rows) {
     for (int u = 0; u < size.width; u += BlockRow::columns) {
-      const Region pixels{u, v, std::min(u + BlockRow::columns, size.width), std::min(v + block_rows, size.height)};
+      const PixelRect pixels{u, v, std::min(u + BlockRow::columns, size.width), std::min(v + block_rows, size.height)};
       const long column = static_cast<long>(pixels.u0 + pixels.u1) * tiles_across / (2 * size.width);
       const long row = static_cast<long>(pixels.v0 + pixels.v1) * tiles_down / (2 * size.height);
       tiles[static_cast<std::size_t>(row * tiles_across + column)].push_back({pixels});
@@ -241,7 +234,7 @@ class Level {
   };
 
   /// Aligns row v of a region, with one more pixel on either side, in every image and in the images' mean.
-  void align_row(const std::vector<Affine>& maps, const Region& region, int v, int row, AlignedRows& rows) const {
+  void align_row(const std::vector<Affine>& maps, const PixelRect& region, int v, int row, AlignedRows& rows) const {
     const auto count = static_cast<std::size_t>(region.u1 - region.u0 + 2);
     std::copy_n(contrast_.bands[0].row(v) + region.u0 - 1, count, rows.band(0, row).data());
     for (std::size_t k = 1; k < maps.size(); ++k) {
@@ -252,7 +245,7 @@ class Level {
   }
 
   /// The row with its neighbors; pixels outside the region get no weight.
-  AlignedRow aligned_row(const Region& region, int v, int row, AlignedRows& rows) const {
+  AlignedRow aligned_row(const PixelRect& region, int v, int row, AlignedRows& rows) const {
     std::fill_n(rows.information(), BlockRow::length, 0.0F);
     std::copy(contrast_.information.row(v) + region.u0, contrast_.information.row(v) + region.u1,
               rows.information() + 1);
@@ -262,7 +255,7 @@ class Level {
   }
 
   double correlation(const Image<float>& image, const Affine& map) const {
-    const Region region = common_region({map}, size_, margin_);
+    const PixelRect region = common_region({map}, size_, margin_);
     if (region.empty()) return 0;
     double ab = 0, bb = 0;
     std::vector<float> moved(static_cast<std::size_t>(region.u1 - region.u0));
@@ -279,11 +272,11 @@ class Level {
 
   /// body(tile, block, rows) for the part of every block that all images show, tile by tile on several threads.
   template <class Body>
-  void for_blocks(const Region& region, Body&& body) const {
+  void for_blocks(const PixelRect& region, Body&& body) const {
     parallel_for(context_, blocks_.size(), 1, [&](std::size_t tile, std::size_t) {
       AlignedRows rows(contrast_.bands.size());
       for (const Block& block : blocks_[tile]) {
-        const Region part = block.pixels.intersected(region);
+        const PixelRect part = block.pixels.intersected(region);
         if (!part.empty()) body(tile, part, rows);
       }
     });
@@ -292,9 +285,9 @@ class Level {
   /// Lower quartile of the disagreement, which represents pixels whose contrast the polarizer hardly changes. Every
   /// eighth row of the blocks is enough for it. There are no values if maps have strayed so far that what all images
   /// show lies between the blocks of a large image.
-  double disagreement_scale(const std::vector<Affine>& maps, const Region& region) const {
+  double disagreement_scale(const std::vector<Affine>& maps, const PixelRect& region) const {
     std::vector<std::vector<float>> parts(blocks_.size());
-    for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
+    for_blocks(region, [&](std::size_t tile, const PixelRect& part, AlignedRows& rows) {
       for (int v = part.v0; v < part.v1; v += 8) {
         align_row(maps, part, v, 0, rows);
         float values[BlockRow::length];
@@ -309,12 +302,12 @@ class Level {
 
   Normals normal_equations(const std::vector<Affine>& maps, bool assess) const {
     const std::size_t count = maps.size();
-    const Region region = common_region(maps, size_, margin_);
+    const PixelRect region = common_region(maps, size_, margin_);
     Normals total(count);
     if (region.empty()) return total;
     const double cauchy = disagreement_scale(maps, region) * options_.cauchy_scale * options_.cauchy_scale;
     std::vector<Normals> tiles(blocks_.size(), Normals(count));
-    for_blocks(region, [&](std::size_t tile, const Region& part, AlignedRows& rows) {
+    for_blocks(region, [&](std::size_t tile, const PixelRect& part, AlignedRows& rows) {
       add_block(maps, part, cauchy, assess, rows, tiles[tile]);
     });
     for (Normals& tile : tiles) {
@@ -331,7 +324,7 @@ class Level {
     return total;
   }
 
-  void add_block(const std::vector<Affine>& maps, const Region& block, double cauchy, bool assess, AlignedRows& rows,
+  void add_block(const std::vector<Affine>& maps, const PixelRect& block, double cauchy, bool assess, AlignedRows& rows,
                  Normals& sum) const {
     RowSums sums;
     sums.sides.resize(maps.size());

@@ -52,25 +52,22 @@ Resampled resample(const Image<float>& source, Size size, const ResamplingMap& m
   if (map.is_identity() && source.size() == size) return {source, Mask(size, 1, 255)};
   const int channels = source.channels();
   Resampled result{Image<float>::uninitialized(size, channels), Mask::uninitialized(size)};
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const auto support = support_at(map(u, v), source.size());
-      result.valid(u, v) = support ? 255 : 0;
-      if (!support) {
-        for (int c = 0; c < channels; ++c) result.image(u, v, c) = std::numeric_limits<float>::quiet_NaN();
-        continue;
+  parallel_pixels(context, size, [&](int u, int v) {
+    const auto support = support_at(map(u, v), source.size());
+    result.valid(u, v) = support ? 255 : 0;
+    if (!support) {
+      for (int c = 0; c < channels; ++c) result.image(u, v, c) = std::numeric_limits<float>::quiet_NaN();
+      return;
+    }
+    const Eigen::Vector4d wu = bicubic_weights(support->fu, interpolation);
+    const Eigen::Vector4d wv = bicubic_weights(support->fv, interpolation);
+    for (int c = 0; c < channels; ++c) {
+      double sum = 0;
+      for (int j = 0; j < 4; ++j) {
+        const float* row = source.row(support->v + j) + static_cast<std::ptrdiff_t>(support->u) * channels + c;
+        sum += wv[j] * (wu[0] * row[0] + wu[1] * row[channels] + wu[2] * row[2 * channels] + wu[3] * row[3 * channels]);
       }
-      const Eigen::Vector4d wu = bicubic_weights(support->fu, interpolation);
-      const Eigen::Vector4d wv = bicubic_weights(support->fv, interpolation);
-      for (int c = 0; c < channels; ++c) {
-        double sum = 0;
-        for (int j = 0; j < 4; ++j) {
-          const float* row = source.row(support->v + j) + static_cast<std::ptrdiff_t>(support->u) * channels + c;
-          sum +=
-              wv[j] * (wu[0] * row[0] + wu[1] * row[channels] + wu[2] * row[2 * channels] + wu[3] * row[3 * channels]);
-        }
-        result.image(u, v, c) = static_cast<float>(sum);
-      }
+      result.image(u, v, c) = static_cast<float>(sum);
     }
   });
   return result;
@@ -79,16 +76,14 @@ Resampled resample(const Image<float>& source, Size size, const ResamplingMap& m
 Mask resample_flags(const Mask& flags, Size size, const ResamplingMap& map, const Context& context) {
   if (map.is_identity() && flags.size() == size) return flags;
   auto result = Mask::uninitialized(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const auto support = support_at(map(u, v), flags.size());
-      std::uint8_t any = 0;
-      for (int j = 0; support && j < 4; ++j) {
-        const std::uint8_t* row = flags.row(support->v + j) + support->u;
-        any |= row[0] | row[1] | row[2] | row[3];
-      }
-      result(u, v) = any != 0 ? 255 : 0;
+  parallel_pixels(context, size, [&](int u, int v) {
+    const auto support = support_at(map(u, v), flags.size());
+    std::uint8_t any = 0;
+    for (int j = 0; support && j < 4; ++j) {
+      const std::uint8_t* row = flags.row(support->v + j) + support->u;
+      any |= row[0] | row[1] | row[2] | row[3];
     }
+    result(u, v) = any != 0 ? 255 : 0;
   });
   return result;
 }

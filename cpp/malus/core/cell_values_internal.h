@@ -6,6 +6,11 @@
 
 namespace malus {
 
+/// Size of the raster of square cells that cover an image.
+constexpr Size cells_over(Size image, int cell_px) {
+  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
+}
+
 /// Value of a raster of square cells at a pixel, bilinear between the centers of the cells.
 inline double between_cells(const Image<float>& cells, int cell_px, int u, int v) {
   const auto place = [&](int pixel, int count) {

@@ -21,9 +21,33 @@ inline std::ptrdiff_t count_of_set(const Mask& pixels) {
   return std::count_if(pixels.begin(), pixels.end(), [](std::uint8_t pixel) { return pixel != 0; });
 }
 
+/// Share of the set pixels of `whole` that are set in `part`; 0 if none is set.
+inline double share_within(const Mask& part, const Mask& whole) {
+  double inside = 0, all = 0;
+  for (std::size_t i = 0; i < whole.count(); ++i) {
+    all += whole[i] != 0;
+    inside += whole[i] && part[i];
+  }
+  return inside / std::max(all, 1.0);
+}
+
 /// Share that chooses about `wanted` of the set pixels, however large the image around them is (1 or more: all).
 inline double share_of_set(const Mask& pixels, double wanted) {
   return wanted / static_cast<double>(std::max<std::ptrdiff_t>(count_of_set(pixels), 1));
+}
+
+/// Calls visit(u, v) for about `wanted` of the set pixels, evenly chosen.
+template <class Visit>
+void for_each_chosen(const Mask& pixels, double wanted, Visit&& visit) {
+  const double share = share_of_set(pixels, wanted);
+  for_each_pixel(pixels, [&](int u, int v) {
+    if (is_chosen(pixels.size().index(u, v), share)) visit(u, v);
+  });
+}
+
+/// Side of a square of as many pixels as are set [px].
+inline double side_of_set(const Mask& pixels) {
+  return std::sqrt(static_cast<double>(count_of_set(pixels)));
 }
 
 /// Distance between sampled rows and columns: `of_image`, or less if that would leave fewer than `fewest` samples on a

@@ -19,6 +19,10 @@ struct Size {
   int height = 0;
 
   std::size_t area() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(height); }
+  /// Index of the pixel at column u, row v, counted row by row.
+  std::size_t index(int u, int v) const {
+    return static_cast<std::size_t>(v) * static_cast<std::size_t>(width) + static_cast<std::size_t>(u);
+  }
   bool operator==(const Size&) const = default;
 };
 
@@ -80,9 +84,7 @@ class Image {
   using Pixels = LargeVector<T>;
 
   std::size_t offset(int u, int v, int c) const {
-    return (static_cast<std::size_t>(v) * static_cast<std::size_t>(size_.width) + static_cast<std::size_t>(u)) *
-               static_cast<std::size_t>(channels_) +
-           static_cast<std::size_t>(c);
+    return size_.index(u, v) * static_cast<std::size_t>(channels_) + static_cast<std::size_t>(c);
   }
 
   Size size_;
@@ -92,6 +94,20 @@ class Image {
 
 /// Binary raster: non-zero = set (object, valid, …). One channel.
 using Mask = Image<std::uint8_t>;
+
+/// Calls body(u, v) row by row for the pixels of a raster, or for those that are set in a mask.
+template <class Body>
+void for_each_pixel(Size size, Body&& body) {
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) body(u, v);
+  }
+}
+template <class Body>
+void for_each_pixel(const Mask& mask, Body&& body) {
+  for_each_pixel(mask.size(), [&](int u, int v) {
+    if (mask(u, v) != 0) body(u, v);
+  });
+}
 
 /// Throws an input error that names the raster unless it has this size.
 template <class T>

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
+#include "malus/core/image.h"
 
 namespace malus {
 
@@ -25,6 +26,20 @@ template <class Body>
 void parallel_rows(const Context& context, int height, Body&& body) {
   parallel_for(context, static_cast<std::size_t>(std::max(height, 0)), 8, [&](std::size_t begin, std::size_t end) {
     for (std::size_t v = begin; v < end; ++v) body(static_cast<int>(v));
+  });
+}
+
+/// Pixels of a raster, row by row: body(u, v) for each of them, or for those that are set in a mask.
+template <class Body>
+void parallel_pixels(const Context& context, Size size, Body&& body) {
+  parallel_rows(context, size.height, [&](int v) {
+    for (int u = 0; u < size.width; ++u) body(u, v);
+  });
+}
+template <class Body>
+void parallel_pixels(const Context& context, const Mask& mask, Body&& body) {
+  parallel_pixels(context, mask.size(), [&](int u, int v) {
+    if (mask(u, v) != 0) body(u, v);
   });
 }
 

@@ -13,11 +13,22 @@ struct PixelRect {
   int width() const { return u1 - u0; }
   int height() const { return v1 - v0; }
   Size size() const { return {width(), height()}; }
+  bool empty() const { return u1 <= u0 || v1 <= v0; }
+  bool contains(int u, int v) const { return u >= u0 && v >= v0 && u < u1 && v < v1; }
   bool operator==(const PixelRect&) const = default;
+  PixelRect intersected(const PixelRect& other) const {
+    return {std::max(u0, other.u0), std::max(v0, other.v0), std::min(u1, other.u1), std::min(v1, other.v1)};
+  }
   /// This rectangle grown by `by` pixels on each side, clipped to an image of size `image`.
   PixelRect grown(int by, Size image) const {
     return {std::max(u0 - by, 0), std::max(v0 - by, 0), std::min(u1 + by, image.width),
             std::min(v1 + by, image.height)};
+  }
+  /// Whether pixel (u, v) of this part of an image is among the `width` pixels along an edge beyond which the image
+  /// continues.
+  bool is_at_cut(int u, int v, int width, Size image) const {
+    return (u0 > 0 && u < u0 + width) || (v0 > 0 && v < v0 + width) || (u1 < image.width && u >= u1 - width) ||
+           (v1 < image.height && v >= v1 - width);
   }
   /// The same pixels in the coordinates of an image whose top-left pixel is (u, v) here.
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
@@ -33,6 +44,26 @@ inline PixelRect bounding_box(const Mask& mask) {
     }
   }
   return box;
+}
+
+/// Calls body(u, v) row by row for the pixels of a part, or for those of them that are set in a mask of the image.
+template <class Body>
+void for_each_pixel(const PixelRect& part, Body&& body) {
+  for (int v = part.v0; v < part.v1; ++v) {
+    for (int u = part.u0; u < part.u1; ++u) body(u, v);
+  }
+}
+template <class Body>
+void for_each_pixel(const PixelRect& part, const Mask& mask, Body&& body) {
+  for_each_pixel(part, [&](int u, int v) {
+    if (mask(u, v) != 0) body(u, v);
+  });
+}
+
+/// The pixels of a square cell, in an image that cells cover from its first pixel on.
+inline PixelRect cell_rect(int column, int row, int cell_px, Size image) {
+  const PixelRect cell{column * cell_px, row * cell_px, (column + 1) * cell_px, (row + 1) * cell_px};
+  return cell.intersected({0, 0, image.width, image.height});
 }
 
 /// Copy of a part of a raster; an empty raster gives an empty copy.

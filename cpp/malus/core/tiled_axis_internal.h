@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstdint>
 
+#include "malus/core/pixel_rect_internal.h"
+
 namespace malus {
 
 /// One axis of a raster cut into tiles that overlap. Across a cut the weight of one tile falls as that of the next
@@ -31,6 +33,30 @@ class TiledAxis {
   }
 
   int begin_, end_, tiles_, margin_, ramp_;
+};
+
+/// An image cut into overlapping tiles, numbered row by row. Pixels near a tile's cuts have weight 0, so that they may
+/// be held there.
+class TiledImage {
+ public:
+  TiledImage(Size image, int tile_px, int margin)
+      : columns_(axis(image.width, tile_px, margin)), rows_(axis(image.height, tile_px, margin)) {}
+
+  int tiles() const { return columns_.tiles() * rows_.tiles(); }
+  PixelRect box(int tile) const {
+    const int column = tile % columns_.tiles(), row = tile / columns_.tiles();
+    return {columns_.first(column), rows_.first(row), columns_.last(column), rows_.last(row)};
+  }
+  double weight(int tile, int u, int v) const {
+    return columns_.weight(tile % columns_.tiles(), u) * rows_.weight(tile / columns_.tiles(), v);
+  }
+
+ private:
+  static TiledAxis axis(int extent, int tile_px, int margin) {
+    return {0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin, margin / 2};
+  }
+
+  TiledAxis columns_, rows_;
 };
 
 }  // namespace malus

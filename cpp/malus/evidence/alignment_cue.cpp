@@ -74,13 +74,10 @@ Image<float> log_gradient(const Image<float>& image, Mask& mask, float floor) {
 
 TemplatePixels template_pixels(const Mask& pixels) {
   TemplatePixels result;
-  for (int v = 0; v < pixels.height(); ++v) {
-    for (int u = 0; u < pixels.width(); ++u) {
-      if (pixels(u, v) == 0) continue;
-      result.u.push_back(static_cast<float>(u));
-      result.v.push_back(static_cast<float>(v));
-    }
-  }
+  for_each_pixel(pixels, [&](int u, int v) {
+    result.u.push_back(static_cast<float>(u));
+    result.v.push_back(static_cast<float>(v));
+  });
   if (result.count() == 0) return result;
   std::vector<float> sorted_u = result.u, sorted_v = result.v;
   std::ranges::sort(sorted_u);
@@ -265,17 +262,14 @@ AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mas
 AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels, const Pinhole& camera) {
   std::vector<AlignmentCue::Value> azimuths;
   std::vector<float> weights;
-  for (int v = 0; v < pixels.height(); ++v) {
-    for (int u = 0; u < pixels.width(); ++u) {
-      if (pixels(u, v) == 0) continue;
-      const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
-      const RayFrame frame = ray_frame(camera.ray(u, v));
-      const Slopes slopes = frame.slopes(normal);
-      const bool known = normal.dot(frame.view) > 0.1 && slopes.tan2() > 1e-6;
-      azimuths.push_back(known ? std::polar(1.0F, static_cast<float>(4 * slopes.azimuth_rad())) : 0.0F);
-      weights.push_back(known ? static_cast<float>(angle_weight(azimuth_variance(slopes.tan2()))) : 0.0F);
-    }
-  }
+  for_each_pixel(pixels, [&](int u, int v) {
+    const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
+    const RayFrame frame = ray_frame(camera.ray(u, v));
+    const Slopes slopes = frame.slopes(normal);
+    const bool known = normal.dot(frame.view) > 0.1 && slopes.tan2() > 1e-6;
+    azimuths.push_back(known ? std::polar(1.0F, static_cast<float>(4 * slopes.azimuth_rad())) : 0.0F);
+    weights.push_back(known ? static_cast<float>(angle_weight(azimuth_variance(slopes.tan2()))) : 0.0F);
+  });
   Image<float> real(scene.size()), imaginary(scene.size()), phase_weights(scene.size());
   for (std::size_t i = 0; i < real.count(); ++i) {
     const std::complex<double> polarization(scene.s1[i], scene.s2[i]);

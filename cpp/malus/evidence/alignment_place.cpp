@@ -160,16 +160,21 @@ Similarity sigma_of(const AlignmentScore& score, const TemplatePixels& pixels, c
   return sigma;
 }
 
+/// The same motion in pixels that are smaller by this factor.
+Similarity times(Similarity place, double factor) {
+  place.du *= factor;
+  place.dv *= factor;
+  return place;
+}
+
 PlacedScore best_place(const AlignmentProblem& coarse, const AlignmentProblem& fine, const std::vector<Kind>& kinds,
                        double coarse_over_fine, bool quick, const Context& context) {
   const AlignmentScore coarse_score(coarse, kinds, {}), fine_score(fine, kinds, {});
   std::vector<PlacedScore> starts = search_grid(coarse_score, coarse.pixels.extent, quick, context);
   if (!quick) starts.insert(starts.begin(), PlacedScore{});
   PlacedScore best{{}, fine_score({})};
-  for (PlacedScore& start : starts) {
-    start.place.du *= coarse_over_fine;
-    start.place.dv *= coarse_over_fine;
-    const PlacedScore found = refine_place(fine_score, fine.pixels, start.place, context);
+  for (const PlacedScore& start : starts) {
+    const PlacedScore found = refine_place(fine_score, fine.pixels, times(start.place, coarse_over_fine), context);
     if (found.score > best.score) best = found;
   }
   return best;
@@ -198,12 +203,6 @@ Similarity without_untold(const AlignmentProblem& problem, const std::vector<Kin
     place = without;
     kept = others;
   }
-  return place;
-}
-
-Similarity times(Similarity place, double factor) {
-  place.du *= factor;
-  place.dv *= factor;
   return place;
 }
 

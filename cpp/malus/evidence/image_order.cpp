@@ -6,14 +6,14 @@
 #include <numeric>
 #include <sstream>
 
-#include "malus/core/error.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
 
-using Order = std::vector<std::size_t>;
+using Order = std::vector<Eigen::Index>;
 
 constexpr std::size_t min_samples = 200, most_permuted = 8;
 /// Of 82 rendered stations in the right order none exceeds 1.3; of 82 with two images exchanged 75 exceed
@@ -24,7 +24,7 @@ constexpr double about_as_well = 1.2;
 
 std::size_t moved(const Order& order) {
   std::size_t count = 0;
-  for (std::size_t k = 0; k < order.size(); ++k) count += order[k] != k;
+  for (std::size_t k = 0; k < order.size(); ++k) count += order[k] != static_cast<Eigen::Index>(k);
   return count;
 }
 
@@ -38,14 +38,7 @@ Eigen::MatrixXd products_of(const PixelSamples& samples) {
 
 /// Σ squared residuals if image k has angle number order[k].
 double misfit_of(const Order& order, const Eigen::MatrixXd& projection, const Eigen::MatrixXd& products) {
-  double misfit = 0;
-  for (std::size_t j = 0; j < order.size(); ++j) {
-    for (std::size_t k = 0; k < order.size(); ++k) {
-      misfit += projection(static_cast<Eigen::Index>(order[j]), static_cast<Eigen::Index>(order[k])) *
-                products(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k));
-    }
-  }
-  return std::max(misfit, 0.0);
+  return std::max(projection(order, order).cwiseProduct(products).sum(), 0.0);
 }
 
 /// The least misfit of all orders that are tried, and the orders among which the best is found; the given one is first.
@@ -108,10 +101,6 @@ std::string in_degrees(const std::vector<double>& angles_rad) {
 
 ImageOrder check_image_order(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const Context& context) {
-  if (images.empty() || images.size() != angles_rad.size()) {
-    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle per image");
-  }
   ImageOrder result;
   result.angles_rad = angles_rad;
   Finding& finding = result.finding;
@@ -119,14 +108,14 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   // Images shifted by a fraction of a pixel differ where brightness changes from pixel to pixel, which in some order
   // looks like polarization. Means over several pixels suppress this; polarization hardly changes over them.
   constexpr int reach_px = 2;
-  const PixelSamples samples = pixel_samples(images, mask, reach_px);
+  const PixelSamples samples = pixel_samples(images, angles_rad, mask, reach_px);
   if (images.size() < 4 || samples.values.size() < min_samples) {
     finding.message =
         "whether the images are in the order of their angles could not be checked: expected four images "
         "or more, and an object of some hundred pixels that are neither dark nor saturated";
     return result;
   }
-  const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(angles_rad);
+  const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(polarizer_rows(angles_rad));
   const TriedOrders tried = images.size() <= most_permuted ? all_orders(projection, products, context)
                                                            : exchanges(projection, products, context);
   // Of orders that fit about as well, choose the one that moves the fewest images.
@@ -147,7 +136,8 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
     finding.message = "the images are in the order of their angles, as far as the sinusoid tells";
     return result;
   }
-  for (std::size_t k = 0; k < images.size(); ++k) result.angles_rad[k] = angles_rad[tried.orders[best].order[k]];
+  for (std::size_t k = 0; k < images.size(); ++k)
+    result.angles_rad[k] = angles_rad[static_cast<std::size_t>(tried.orders[best].order[k])];
   std::ostringstream text;
   text << std::fixed << std::setprecision(result.misfit_ratio < 10 ? 1 : 0);
   text << "the images do not seem to be in the order of their angles: in another order the squared misfit of the "

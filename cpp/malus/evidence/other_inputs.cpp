@@ -12,13 +12,11 @@ namespace {
 template <class T>
 Image<T> undone(const Image<T>& image, const ImageTurn& turn) {
   Image<T> result(image.size(), image.channels());
-  for (int v = 0; v < image.height(); ++v) {
-    for (int u = 0; u < image.width(); ++u) {
-      const int from_u = turn.exchanges ? v : u, from_v = turn.exchanges ? u : v;
-      result(u, v) = image(turn.flips_u ? image.width() - 1 - from_u : from_u,
-                           turn.flips_v ? image.height() - 1 - from_v : from_v);
-    }
-  }
+  for_each_pixel(image.size(), [&](int u, int v) {
+    const int from_u = turn.exchanges ? v : u, from_v = turn.exchanges ? u : v;
+    result(u, v) =
+        image(turn.flips_u ? image.width() - 1 - from_u : from_u, turn.flips_v ? image.height() - 1 - from_v : from_v);
+  });
   return result;
 }
 
@@ -53,12 +51,6 @@ std::string words_of(const Eigen::Matrix3d& axes) {
   return text + ")";
 }
 
-Eigen::Affine3d linear(const Eigen::Matrix3d& matrix) {
-  Eigen::Affine3d affine = Eigen::Affine3d::Identity();
-  affine.linear() = matrix;
-  return affine;
-}
-
 }  // namespace
 
 std::vector<ImageTurn> image_turns(Size size) {
@@ -86,9 +78,7 @@ CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object, int 
       object_(object),
       cell_px_(std::max(1, std::max(camera.size.width, camera.size.height) / cells_per_side)),
       cells_with_object_({camera.size.width / cell_px_ + 1, camera.size.height / cell_px_ + 1}) {
-  for (int v = 0; v < object.height(); ++v)
-    for (int u = 0; u < object.width(); ++u)
-      if (object(u, v) != 0) cells_with_object_(u / cell_px_, v / cell_px_) = 1;
+  for_each_pixel(object, [&](int u, int v) { cells_with_object_(u / cell_px_, v / cell_px_) = 1; });
 }
 
 CloudCoverage CoverageCounter::operator()(const PointCloud& cloud, const Eigen::Affine3d& cam_from_cloud) const {
@@ -122,10 +112,7 @@ CloudCoverage CoverageCounter::operator()(const PointCloud& cloud, const Eigen::
 }
 
 Eigen::Affine3d affine_of(const Pose& pose) {
-  Eigen::Affine3d affine = Eigen::Affine3d::Identity();
-  affine.linear() = pose.rotation;
-  affine.translation() = pose.translation;
-  return affine;
+  return Eigen::Translation3d(pose.translation) * Eigen::Affine3d(pose.rotation);
 }
 
 std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, const CoverageCounter& coverage_of,
@@ -137,8 +124,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
     const double scale = other.metres / length_unit(unit).metres;
     std::ostringstream text;
     text << "the cloud is in " << other.name << " and the camera in " << unit << " (a factor of " << scale << ")";
-    result.push_back({text.str(), "give cloud and camera in the same unit",
-                      given * linear(scale * Eigen::Matrix3d::Identity()),
+    result.push_back({text.str(), "give cloud and camera in the same unit", given * Eigen::Scaling(scale),
                       other.name == "ft" || other.name == "in" ? 0.3 : 1.0});
   }
   result.push_back({"the camera's pose goes the other way, from the camera into the world",
@@ -146,7 +132,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
   for (const Eigen::Matrix3d& axes : exchanged_axes()) {
     const std::string name = axes.determinant() < 0 ? "the cloud is mirrored" : "the axes of the cloud are exchanged";
     result.push_back({name + ", for example (x, y, z) for " + words_of(axes), "export the cloud with the camera's axes",
-                      given * linear(axes)});
+                      given * Eigen::Affine3d(axes)});
   }
   for (MovedCloud& idea : result) idea.coverage = coverage_of(cloud, idea.cam_from_cloud);
   std::ranges::stable_sort(result, std::ranges::greater{}, &MovedCloud::rank);

@@ -2,9 +2,11 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <numeric>
 #include <utility>
 #include <vector>
 
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/outline_place_internal.h"
 
 namespace malus {
@@ -36,24 +38,17 @@ struct Outline {
 
 Outline outline_of(const Mask& object) {
   Outline outline;
-  int left = object.width(), right = -1, top = object.height(), bottom = -1;
   double count = 0;
-  for (int v = 0; v < object.height(); ++v) {
-    for (int u = 0; u < object.width(); ++u) {
-      if (object(u, v) == 0) continue;
-      ++count;
-      outline.center_u += u;
-      outline.center_v += v;
-      left = std::min(left, u);
-      right = std::max(right, u);
-      top = std::min(top, v);
-      bottom = std::max(bottom, v);
-    }
-  }
+  for_each_pixel(object, [&](int u, int v) {
+    ++count;
+    outline.center_u += u;
+    outline.center_v += v;
+  });
   if (count == 0) return outline;
   outline.center_u /= count;
   outline.center_v /= count;
-  outline.extent = std::max(right - left, bottom - top) + 1;
+  const PixelRect box = bounding_box(object);
+  outline.extent = std::max(box.width(), box.height());
   constexpr std::array directions{std::pair(1, 0), std::pair(-1, 0), std::pair(0, 1), std::pair(0, -1)};
   for (int v = 1; v + 1 < object.height(); ++v) {
     for (int u = 1; u + 1 < object.width(); ++u) {
@@ -90,9 +85,7 @@ Sectors steps_at(const Outline& outline, const Image<float>& depth, double focal
 }
 
 double total(const Sectors& sums) {
-  double result = 0;
-  for (const double sum : sums) result += sum;
-  return result;
+  return std::accumulate(sums.begin(), sums.end(), 0.0);
 }
 
 }  // namespace

@@ -1,10 +1,10 @@
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <string>
 
+#include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
-#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
@@ -29,19 +29,12 @@ bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u,
 
 }  // namespace
 
-Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad) {
-  const Eigen::MatrixXd rows = polarizer_rows(angles_rad, std::vector<double>(angles_rad.size(), 1.0));
-  return rows.completeOrthogonalDecomposition().pseudoInverse();
-}
-
-Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad) {
-  const std::vector<double> gains(angles_rad.size(), 1.0);
-  const auto count = static_cast<Eigen::Index>(angles_rad.size());
-  return Eigen::MatrixXd::Identity(count, count) -
-         polarizer_rows(angles_rad, gains) * stokes_of_intensities(angles_rad);
-}
-
-PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px) {
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                           const Mask& mask, int reach_px) {
+  if (images.empty() || images.size() != angles_rad.size()) {
+    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
+                      " angles, expected one angle per image");
+  }
   PixelSamples samples;
   const Size size = images.front().size();
   const double wanted = std::min(most_samples, most_values / static_cast<double>(images.size()));

@@ -7,12 +7,6 @@
 
 namespace malus {
 
-/// (s0, s1, s2) by least squares from intensities at these angles.
-Eigen::Matrix3Xd stokes_of_intensities(const std::vector<double>& angles_rad);
-
-/// Projection of values at these angles to their residuals from the least-squares sinusoid.
-Eigen::MatrixXd residual_projection(const std::vector<double>& angles_rad);
-
 /// Values of sampled pixels in all images: means over windows none of whose pixels is dark or nearly saturated.
 struct PixelSamples {
   std::vector<Eigen::VectorXd> values;
@@ -21,7 +15,8 @@ struct PixelSamples {
 };
 
 /// Evenly spaced samples, at most a few hundred thousand. mask: non-zero = object, empty = everything. reach_px: how
-/// far a window extends from its middle.
-PixelSamples pixel_samples(const std::vector<Image<float>>& images, const Mask& mask, int reach_px);
+/// far a window extends from its middle. Throws an input error unless there is an image, and an angle for each.
+PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
+                           const Mask& mask, int reach_px);
 
 }  // namespace malus

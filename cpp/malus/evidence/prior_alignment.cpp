@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "malus/core/digits_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
@@ -280,8 +281,7 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
 double sparse_points_on_object(const PointCloud& cloud, const Eigen::Affine3d& given, const CloudCoverage& coverage,
                                const SceneView& view, const AlignmentScene& scene) {
   const double points = coverage.on_object * static_cast<double>(cloud.points.size());
-  const auto pixels = std::ranges::count_if(view.object, [](std::uint8_t pixel) { return pixel != 0; });
-  if (points >= sparse_points * static_cast<double>(pixels)) return 0;
+  if (points >= sparse_points * static_cast<double>(count_of_set(view.object))) return 0;
   const CoverageCounter coverage_of(scene.camera, scene.object, large_cells_per_side);
   return coverage_of(cloud, given).covered >= sparse_covers ? points : 0;
 }
@@ -312,16 +312,14 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
 bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
   constexpr double usual_index = 1.5;
   std::vector<double> ratios;
-  for (int v = 0; v < scene.object.height(); ++v) {
-    for (int u = 0; u < scene.object.width(); ++u) {
-      if (scene.object(u, v) == 0 || prior.seen(u, v) == 0 || !(scene.variance(u, v) > 0)) continue;
-      const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
-      const double tan2 = ray_frame(camera.ray(u, v)).slopes(normal).tan2();
-      if (!std::isfinite(tan2)) continue;
-      const double matt = diffuse_degree(std::atan(std::sqrt(tan2)), usual_index);
-      ratios.push_back(std::hypot(scene.s1(u, v), scene.s2(u, v)) / (matt + least_degree));
-    }
-  }
+  for_each_pixel(scene.object.size(), [&](int u, int v) {
+    if (scene.object(u, v) == 0 || prior.seen(u, v) == 0 || !(scene.variance(u, v) > 0)) return;
+    const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
+    const double tan2 = ray_frame(camera.ray(u, v)).slopes(normal).tan2();
+    if (!std::isfinite(tan2)) return;
+    const double matt = diffuse_degree(std::atan(std::sqrt(tan2)), usual_index);
+    ratios.push_back(std::hypot(scene.s1(u, v), scene.s2(u, v)) / (matt + least_degree));
+  });
   return median_in_place(ratios) > mirrors_times;
 }
 

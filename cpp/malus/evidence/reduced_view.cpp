@@ -7,6 +7,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 
@@ -84,40 +85,36 @@ SceneView scene_view(const PolarizationState& state, const Image<float>& scene, 
       factor,    Image<float>(size, 1, none), Mask(size), Image<float>(size), Image<float>(size), Image<float>(size),
       Mask(size)};
   const StokesVariances variances(state);
-  for (int row = 0; row < size.height; ++row) {
-    for (int column = 0; column < size.width; ++column) {
-      double light = 0, variance = 0;
-      Eigen::Vector3d stokes = Eigen::Vector3d::Zero();
-      int lit = 0, valid = 0, objects = 0;
-      for (int v = row * factor; v < (row + 1) * factor; ++v) {
-        for (int u = column * factor; u < (column + 1) * factor; ++u) {
-          objects += object(u, v) != 0;
-          const bool is_valid = state.is_valid(u, v);
-          const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
-          if (std::isfinite(intensity)) {
-            light += intensity;
-            ++lit;
-          }
-          if (!is_valid) continue;
-          const Eigen::Vector3d s = state.stokes(u, v);
-          stokes += s;
-          variance += variances(u, v, s).linear;
-          ++valid;
-        }
+  for_each_pixel(size, [&](int column, int row) {
+    double light = 0, variance = 0;
+    Eigen::Vector3d stokes = Eigen::Vector3d::Zero();
+    int lit = 0, valid = 0, objects = 0;
+    for_each_pixel(cell_rect(column, row, factor, state.size()), [&](int u, int v) {
+      objects += object(u, v) != 0;
+      const bool is_valid = state.is_valid(u, v);
+      const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
+      if (std::isfinite(intensity)) {
+        light += intensity;
+        ++lit;
       }
-      const int half = factor * factor / 2;
-      if (lit > half) {
-        view.seen(column, row) = 255;
-        view.brightness(column, row) = static_cast<float>(std::log(std::max(light / lit, 0.0) + darkest));
-      }
-      if (valid > half && stokes[0] > 0) {
-        view.s1(column, row) = static_cast<float>(stokes[1] / stokes[0]);
-        view.s2(column, row) = static_cast<float>(stokes[2] / stokes[0]);
-        view.variance(column, row) = static_cast<float>(variance / (stokes[0] * stokes[0]));
-      }
-      view.object(column, row) = objects > half ? 255 : 0;
+      if (!is_valid) return;
+      const Eigen::Vector3d s = state.stokes(u, v);
+      stokes += s;
+      variance += variances(u, v, s).linear;
+      ++valid;
+    });
+    const int half = factor * factor / 2;
+    if (lit > half) {
+      view.seen(column, row) = 255;
+      view.brightness(column, row) = static_cast<float>(std::log(std::max(light / lit, 0.0) + darkest));
     }
-  }
+    if (valid > half && stokes[0] > 0) {
+      view.s1(column, row) = static_cast<float>(stokes[1] / stokes[0]);
+      view.s2(column, row) = static_cast<float>(stokes[2] / stokes[0]);
+      view.variance(column, row) = static_cast<float>(variance / (stokes[0] * stokes[0]));
+    }
+    view.object(column, row) = objects > half ? 255 : 0;
+  });
   return view;
 }
 
@@ -180,23 +177,19 @@ PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int facto
   view.seen = Mask(reduced.size);
   view.depth = Image<float>(reduced.size, 1, none);
   std::vector<float> depths;
-  for (int row = 0; row < reduced.size.height; ++row) {
-    for (int column = 0; column < reduced.size.width; ++column) {
-      double sum = 0;
-      int count = 0;
-      for (int v = row * factor; v < (row + 1) * factor; ++v) {
-        for (int u = column * factor; u < (column + 1) * factor; ++u) {
-          if (!(std::isfinite(depth(u, v)) && depth(u, v) > 0)) continue;
-          sum += depth(u, v);
-          ++count;
-        }
-      }
-      if (2 * count <= factor * factor) continue;
-      view.seen(column, row) = 255;
-      view.depth(column, row) = static_cast<float>(sum / count);
-      depths.push_back(view.depth(column, row));
-    }
-  }
+  for_each_pixel(reduced.size, [&](int column, int row) {
+    double sum = 0;
+    int count = 0;
+    for_each_pixel(cell_rect(column, row, factor, depth.size()), [&](int u, int v) {
+      if (!(std::isfinite(depth(u, v)) && depth(u, v) > 0)) return;
+      sum += depth(u, v);
+      ++count;
+    });
+    if (2 * count <= factor * factor) return;
+    view.seen(column, row) = 255;
+    view.depth(column, row) = static_cast<float>(sum / count);
+    depths.push_back(view.depth(column, row));
+  });
   view.median_depth = median_in_place(depths);
   view.normals = normals_from_depth(view.depth, reduced, context);
   return view;

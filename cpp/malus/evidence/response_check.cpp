@@ -1,11 +1,10 @@
-#include <Eigen/QR>
 #include <algorithm>
 #include <array>
 #include <cmath>
 
-#include "malus/core/error.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/evidence/response_check_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
 namespace {
@@ -38,8 +37,9 @@ struct Sums {
 /// Σ r · h and Σ h · h by parts of the image, with residuals r and second harmonics h, each pixel divided by its
 /// intensity.
 std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
-  const Eigen::MatrixXd projection = residual_projection(angles_rad);
-  const Eigen::Matrix3Xd inverse = stokes_of_intensities(angles_rad);
+  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad);
+  const Eigen::MatrixXd projection = residual_projection(rows);
+  const Eigen::Matrix3Xd inverse = stokes_of_intensities(rows);
   std::array<Sums, PixelSamples::part_count> sums;
   Eigen::VectorXd bent(static_cast<Eigen::Index>(angles_rad.size()));
   for (std::size_t i = 0; i < samples.values.size(); ++i) {
@@ -64,10 +64,8 @@ std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, 
 
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const std::string& response, const Context& context) {
-  if (images.empty() || images.size() != angles_rad.size()) {
-    throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
-                      " angles, expected one angle per image");
-  }
+  context.check_cancel();
+  const PixelSamples samples = pixel_samples(images, angles_rad, mask, 0);
   ResponseCheck result;
   Finding& finding = result.finding;
   finding.check = "response";
@@ -75,8 +73,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.message = "whether the images are linear could not be checked: expected four different angles or more";
     return result;
   }
-  context.check_cancel();
-  const auto parts = sums_of(pixel_samples(images, mask, 0), angles_rad);
+  const auto parts = sums_of(samples, angles_rad);
   Sums all;
   for (const Sums& part : parts) {
     all.product += part.product;

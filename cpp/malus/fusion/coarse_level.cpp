@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -7,27 +6,6 @@
 
 namespace malus {
 namespace {
-
-/// Pixel data stored as means of finer pixels.
-class CoarsePixels final : public PixelSource {
- public:
-  explicit CoarsePixels(Size size) : pixels_(Image<PixelData>::uninitialized(size)) {}
-  PixelData at(int u, int v) const override { return pixels_(u, v); }
-  PixelData& operator()(int u, int v) { return pixels_(u, v); }
-
- private:
-  Image<PixelData> pixels_;
-};
-
-/// Calls visit(u, v) for those fine pixels of a coarse pixel for which `counts` is set.
-template <class Visit>
-void for_each_child(const Mask& counts, int column, int row, Visit&& visit) {
-  for (int v = 2 * row; v < std::min(2 * row + 2, counts.height()); ++v) {
-    for (int u = 2 * column; u < std::min(2 * column + 2, counts.width()); ++u) {
-      if (counts(u, v)) visit(u, v);
-    }
-  }
-}
 
 /// Value at a coarse node: that of the fine node at the same place, or the mean of the fine nodes around it if that one
 /// is not on the object.
@@ -55,8 +33,8 @@ double coarse_x(const RefinementImage& fine, int column, int row) {
 PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   PixelData pixel;
   int usable = 0;
-  for_each_child(fine.usable, column, row, [&](int u, int v) {
-    const PixelData child = fine.source->at(u, v);
+  for_each_pixel(cell_rect(column, row, 2, fine.size()), fine.usable, [&](int u, int v) {
+    const PixelData child = fine.source(u, v);
     pixel.s0 += child.s0;
     pixel.s1 += child.s1;
     pixel.s2 += child.s2;
@@ -76,14 +54,13 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
 /// Marks a coarse pixel as on the object if one of its fine pixels is.
 void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
   int count = 0, specular = 0;
-  for_each_child(fine.pixels, column, row, [&](int u, int v) {
-    specular += fine.kind_at(u, v) == Reflection::specular;
+  for_each_pixel(cell_rect(column, row, 2, fine.size()), fine.pixels, [&](int u, int v) {
+    specular += fine.kind(u, v) == Reflection::specular;
     ++count;
   });
   if (count == 0) return;
   coarse.pixels(column, row) = 255;
-  coarse.kind(column, row) =
-      static_cast<std::uint8_t>(2 * specular > count ? Reflection::specular : Reflection::diffuse);
+  coarse.kind(column, row) = 2 * specular > count ? Reflection::specular : Reflection::diffuse;
 }
 
 }  // namespace
@@ -91,56 +68,44 @@ void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int 
 RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   RefinementImage coarse;
   coarse.camera = fine.camera.binned();
-  coarse.focal = fine.focal / 2;
   coarse.log_depth_origin = fine.log_depth_origin;
   coarse.reflection = fine.reflection;
   coarse.shading = fine.shading;
   const Size size{fine.size().width / 2 + 1, fine.size().height / 2 + 1};
   coarse.pixels = coarse.usable = Mask(size);
   coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
-  coarse.kind = Image<std::uint8_t>(size);
-  auto pixels = std::make_shared<CoarsePixels>(size);
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) add_coarse_pixel(fine, coarse, column, row);
-  });
+  coarse.kind = Image<Reflection>(size);
+  auto pixels = Image<PixelData>::uninitialized(size);
+  parallel_pixels(context, size, [&](int column, int row) { add_coarse_pixel(fine, coarse, column, row); });
   coarse.object = nodes_of(coarse.pixels);
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) {
-      if (!coarse.object(column, row)) continue;
-      PixelData& pixel = (*pixels)(column, row) = coarse_light(fine, coarse, column, row);
-      pixel.x_prior =
-          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).x_prior; }) / 2;
-      pixel.prior_sigma = static_cast<float>(
-          at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source->at(u, v).prior_sigma; }) / 2);
-      coarse.x(column, row) = coarse_x(fine, column, row);
-    }
+  parallel_pixels(context, coarse.object, [&](int column, int row) {
+    PixelData& pixel = pixels(column, row) = coarse_light(fine, coarse, column, row);
+    pixel.x_prior = at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).x_prior; }) / 2;
+    pixel.prior_sigma = static_cast<float>(
+        at_coarse_node(fine, column, row, [&](int u, int v) { return fine.source(u, v).prior_sigma; }) / 2);
+    coarse.x(column, row) = coarse_x(fine, column, row);
   });
-  coarse.source = std::move(pixels);
+  coarse.source = [means = std::move(pixels)](int u, int v) { return means(u, v); };
   return coarse;
 }
 
 void take_over(RefinementImage& fine, const RefinementImage& coarse, const Context& context) {
   Image<double> change(coarse.size());
-  parallel_rows(context, change.height(), [&](int row) {
-    for (int column = 0; column < change.width(); ++column) {
-      if (coarse.object(column, row)) change(column, row) = coarse.x(column, row) - coarse_x(fine, column, row);
-    }
+  parallel_pixels(context, coarse.object, [&](int column, int row) {
+    change(column, row) = coarse.x(column, row) - coarse_x(fine, column, row);
   });
-  parallel_rows(context, fine.size().height, [&](int v) {
-    for (int u = 0; u < fine.size().width; ++u) {
-      if (!fine.object(u, v)) continue;
-      const double at_u = u / 2.0, at_v = v / 2.0;
-      const int column = u / 2, row = v / 2;
-      double sum = 0, weights = 0;
-      for (int k = 0; k < 4; ++k) {
-        const int i = column + k % 2, j = row + k / 2;
-        if (!coarse.is_object(i, j)) continue;
-        const double weight = (1 - std::abs(at_u - i)) * (1 - std::abs(at_v - j));
-        sum += weight * change(i, j);
-        weights += weight;
-      }
-      fine.x(u, v) += 2 * sum / weights;  // at least one coarse node is always on the object
+  parallel_pixels(context, fine.object, [&](int u, int v) {
+    const double at_u = u / 2.0, at_v = v / 2.0;
+    const int column = u / 2, row = v / 2;
+    double sum = 0, weights = 0;
+    for (int k = 0; k < 4; ++k) {
+      const int i = column + k % 2, j = row + k / 2;
+      if (!coarse.is_object(i, j)) continue;
+      const double weight = (1 - std::abs(at_u - i)) * (1 - std::abs(at_v - j));
+      sum += weight * change(i, j);
+      weights += weight;
     }
+    fine.x(u, v) += 2 * sum / weights;  // at least one coarse node is always on the object
   });
   fine.reflection = coarse.reflection;
   fine.shading = coarse.shading;

@@ -15,10 +15,6 @@ double smoothing_of_cells(int cell_px) {
   return cell_px / std::sqrt(12.0);
 }
 
-Size cells_over(Size image, int cell_px) {
-  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
-}
-
 /// Factor that scales s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
 double weight_of_s0(const RefinementField& part, int u, int v) {
   const double error = part.reflection.metal_error * part.s0(u, v), precision = part.stokes_precision(u, v);
@@ -27,9 +23,7 @@ double weight_of_s0(const RefinementField& part, int u, int v) {
 
 Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
   constexpr double region_cells = 1.5;
-  Mask all(sums.size());
-  all.fill(255);
-  return masked_blur(sums, all, region_cells, context);
+  return masked_blur(sums, Mask(sums.size(), 1, 255), region_cells, context);
 }
 
 }  // namespace
@@ -48,42 +42,33 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     double weight;
     Stokes change, rest;
   };
-  const int first_cell = (first_row + rows.begin) / finest_px, last_cell = (first_row + rows.end - 1) / finest_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * finest_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * finest_px - first_row, rows.end);
+  const auto add_cell = [&](int column, int row, const PixelRect& of_cell) {
     std::vector<Pixel> pixels;
-    for (int column = 0; column < cells_.width(); ++column) {
-      pixels.clear();
-      Cell cell;
-      for (int v = begin; v < end; ++v) {
-        for (int u = column * finest_px; u < std::min((column + 1) * finest_px, part.size().width); ++u) {
-          if (!part.object(u, v) || !part.usable(u, v)) continue;
-          const double weight = stokes_weight(part, u, v);
-          const Eigen::Vector2d slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
-          const PixelReflection reflection = part.reflection_at(u, v);
-          const PredictedStokes result = reflection.predict(slopes[0], slopes[1]);
-          const PredictedStokes prior = reflection.predict(before[0], before[1]);
-          const double of_s0 = weight_of_s0(part, u, v);
-          const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
-          const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
-                            of_s0 * (part.s0(u, v) - result.mirrored)};
-          pixels.push_back({weight, change, rest});
-          cell.weight += weight;
-          cell.change += change * weight;
-          cell.rest += rest * weight;
-        }
-      }
-      if (cell.weight <= 0) continue;
-      const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
-      const auto index =
-          static_cast<std::size_t>(row) * static_cast<std::size_t>(cells_.width()) + static_cast<std::size_t>(column);
-      for (const Pixel& pixel : pixels)
-        within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
-      cells_[index] += cell;
-    }
-  });
+    Cell cell;
+    for_each_pixel(of_cell, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const double weight = stokes_weight(part, u, v);
+      const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
+      const PixelReflection reflection = part.reflection_at(u, v);
+      const PredictedStokes result = reflection.predict(slopes.p, slopes.q);
+      const PredictedStokes prior = reflection.predict(before.p, before.q);
+      const double of_s0 = weight_of_s0(part, u, v);
+      const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
+      const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
+                        of_s0 * (part.s0(u, v) - result.mirrored)};
+      pixels.push_back({weight, change, rest});
+      cell.weight += weight;
+      cell.change += change * weight;
+      cell.rest += rest * weight;
+    });
+    if (cell.weight <= 0) return;
+    const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
+    const std::size_t index = cells_.size().index(column, row);
+    for (const Pixel& pixel : pixels)
+      within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
+    cells_[index] += cell;
+  };
+  for_each_cell(finest_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cell_px, double of_rest,
@@ -106,9 +91,7 @@ GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cel
 
 Image<GainByScale::Cell> GainByScale::parents_of(const Image<Cell>& cells) {
   Image<Cell> parents({(cells.width() + 1) / 2, (cells.height() + 1) / 2});
-  for (int v = 0; v < cells.height(); ++v) {
-    for (int u = 0; u < cells.width(); ++u) parents(u / 2, v / 2) += cells(u, v);
-  }
+  for_each_pixel(cells.size(), [&](int u, int v) { parents(u / 2, v / 2) += cells(u, v); });
   return parents;
 }
 
@@ -118,22 +101,19 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
   Gains gains;
   // All scales together on the raster of 16 px.
   constexpr int all_px = 16;
-  const Size all_cells{(cells_.width() * finest_px + all_px - 1) / all_px,
-                       (cells_.height() * finest_px + all_px - 1) / all_px};
+  const Size all_cells = cells_over({cells_.width() * finest_px, cells_.height() * finest_px}, all_px);
   Image<float> gained(all_cells), changed(all_cells);
   const auto take = [&](const Products& products, int cell_px, double of_rest) {
     gains.scales.push_back(gain_of(products, cell_px, of_rest, context));
     const Image<float>& gain = gains.scales.back().gain;
     const double pixels = square(static_cast<double>(cell_px));
     const Image<float> nearby = summed_nearby(products.dd, context);
-    for (int v = 0; v < all_cells.height; ++v) {
-      for (int u = 0; u < all_cells.width; ++u) {
-        const int x = u * all_px + all_px / 2, y = v * all_px + all_px / 2;
-        const double change = between_cells(nearby, cell_px, x, y) / pixels;
-        changed(u, v) += static_cast<float>(change);
-        gained(u, v) += static_cast<float>(change * between_cells(gain, cell_px, x, y));
-      }
-    }
+    for_each_pixel(all_cells, [&](int u, int v) {
+      const int x = u * all_px + all_px / 2, y = v * all_px + all_px / 2;
+      const double change = between_cells(nearby, cell_px, x, y) / pixels;
+      changed(u, v) += static_cast<float>(change);
+      gained(u, v) += static_cast<float>(change * between_cells(gain, cell_px, x, y));
+    });
   };
   take(within_, finest_px, of_pixels);
   Image<Cell> cells = cells_;
@@ -141,20 +121,19 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
     const bool is_last = cell_px == coarsest_px;
     const Image<Cell> parents = is_last ? cells : parents_of(cells);
     Products products(parents.size());
-    for (int v = 0; v < cells.height(); ++v) {
-      for (int u = 0; u < cells.width(); ++u) {
-        const Cell& cell = cells(u, v);
-        if (cell.weight <= 0) continue;
-        const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
-        const Cell& parent = parents(column, row);
-        const auto index = static_cast<std::size_t>(row) * static_cast<std::size_t>(parents.width()) +
-                           static_cast<std::size_t>(column);
-        // The means of the largest cells have no coarser mean to subtract.
-        const Stokes change = parent.change / parent.weight, rest = parent.rest / parent.weight;
-        products.add(index, cell.weight, is_last ? change : cell.change / cell.weight - change,
-                     is_last ? rest : cell.rest / cell.weight - rest);
+    for_each_pixel(cells.size(), [&](int u, int v) {
+      const Cell& cell = cells(u, v);
+      if (cell.weight <= 0) return;
+      const int column = is_last ? u : u / 2, row = is_last ? v : v / 2;
+      const Cell& parent = parents(column, row);
+      Stokes change = cell.change / cell.weight, rest = cell.rest / cell.weight;
+      // The means of the largest cells have no coarser mean to subtract.
+      if (!is_last) {
+        change -= parent.change / parent.weight;
+        rest -= parent.rest / parent.weight;
       }
-    }
+      products.add(parents.size().index(column, row), cell.weight, change, rest);
+    });
     take(products, is_last ? cell_px : 2 * cell_px, half);
     cells = parents;
   }
@@ -178,12 +157,9 @@ Image<float> movement_that_is_gain(const RefinementImage& image, const Image<dou
     const Image<float> coarser =
         is_last ? Image<float>(size)
                 : masked_blur(finer, image.object, std::sqrt(square(next_px) - square(smoothed_px)), context);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image.object(u, v)) continue;
-        const double gain = between_cells(scale.gain, scale.cell_px, u, v);
-        gained(u, v) += static_cast<float>(gain * (finer(u, v) - coarser(u, v)));
-      }
+    parallel_pixels(context, image.object, [&](int u, int v) {
+      const double gain = between_cells(scale.gain, scale.cell_px, u, v);
+      gained(u, v) += static_cast<float>(gain * (finer(u, v) - coarser(u, v)));
     });
     finer = coarser;
     smoothed_px = next_px;

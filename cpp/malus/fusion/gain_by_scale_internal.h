@@ -1,6 +1,6 @@
 #pragma once
 
-#include <array>
+#include <Eigen/Core>
 #include <vector>
 
 #include "malus/core/cell_values_internal.h"
@@ -45,24 +45,12 @@ class GainByScale {
   Gains gains(const Context& context) const;
 
  private:
-  struct Stokes {
-    double s1 = 0, s2 = 0;
-    double s0 = 0;  ///< of a metal, scaled to the error of s1 and s2
-    double dot(const Stokes& other) const { return s1 * other.s1 + s2 * other.s2 + s0 * other.s0; }
-    Stokes& operator+=(const Stokes& other) {
-      s1 += other.s1;
-      s2 += other.s2;
-      s0 += other.s0;
-      return *this;
-    }
-    Stokes operator-(const Stokes& other) const { return {s1 - other.s1, s2 - other.s2, s0 - other.s0}; }
-    Stokes operator*(double factor) const { return {factor * s1, factor * s2, factor * s0}; }
-    Stokes operator/(double value) const { return {s1 / value, s2 / value, s0 / value}; }
-  };
+  /// s1, s2, and of a metal s0, scaled to the error of s1 and s2.
+  using Stokes = Eigen::Vector3d;
   /// Weighted sums over the pixels of a cell.
   struct Cell {
     double weight = 0;
-    Stokes change, rest;  ///< sums of d and r
+    Stokes change = Stokes::Zero(), rest = Stokes::Zero();  ///< sums of d and r
     Cell& operator+=(const Cell& other) {
       weight += other.weight;
       change += other.change;

@@ -12,6 +12,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/disjoint_sets_internal.h"
 #include "malus/core/fields.h"
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
@@ -80,18 +81,16 @@ void blur_axis(const Context& context, const Image<double>& sum, const Image<dou
   const int reach = static_cast<int>(std::ceil(4 * sigma));
   std::vector<double> kernel;
   for (int k = -reach; k <= reach; ++k) kernel.push_back(sigma > 0 ? std::exp(-0.5 * k * k / (sigma * sigma)) : 1.0);
-  parallel_rows(context, sum.height(), [&](int v) {
-    for (int u = 0; u < sum.width(); ++u) {
-      double s = 0, w = 0;
-      for (int k = -reach; k <= reach; ++k) {
-        const int x = along_u ? u + k : u, y = along_u ? v : v + k;
-        if (!sum.contains(x, y)) continue;
-        s += kernel[static_cast<std::size_t>(k + reach)] * sum(x, y);
-        w += kernel[static_cast<std::size_t>(k + reach)] * weight(x, y);
-      }
-      blurred_sum(u, v) = s;
-      blurred_weight(u, v) = w;
+  parallel_pixels(context, sum.size(), [&](int u, int v) {
+    double s = 0, w = 0;
+    for (int k = -reach; k <= reach; ++k) {
+      const int x = along_u ? u + k : u, y = along_u ? v : v + k;
+      if (!sum.contains(x, y)) continue;
+      s += kernel[static_cast<std::size_t>(k + reach)] * sum(x, y);
+      w += kernel[static_cast<std::size_t>(k + reach)] * weight(x, y);
     }
+    blurred_sum(u, v) = s;
+    blurred_weight(u, v) = w;
   });
 }
 
@@ -158,12 +157,10 @@ Image<float> with_parts_in_place(const Image<float>& height, const Image<float>&
   const Offset largest = *std::max_element(offsets.begin(), offsets.end(),
                                            [](const Offset& a, const Offset& b) { return a.pixels < b.pixels; });
   Image<float> placed = height;
-  parallel_rows(context, height.height(), [&](int v) {
-    for (int u = 0; u < height.width(); ++u) {
-      const std::size_t pixel = static_cast<std::size_t>(v) * width + static_cast<std::size_t>(u);
-      const Offset& offset = offsets[static_cast<std::size_t>(part_of[pixel])];
-      if (offset.pixels > 0) placed[pixel] += static_cast<float>(offset.mean() - largest.mean());
-    }
+  parallel_pixels(context, height.size(), [&](int u, int v) {
+    const std::size_t pixel = height.size().index(u, v);
+    const Offset& offset = offsets[static_cast<std::size_t>(part_of[pixel])];
+    if (offset.pixels > 0) placed[pixel] += static_cast<float>(offset.mean() - largest.mean());
   });
   return placed;
 }
@@ -206,13 +203,11 @@ struct Transfer {
       : difference(prior.size(), options.grid_px), disagreement(prior.size(), options.grid_px) {
     Image<float>& nodes = difference.values();
     bool any = false;
-    for (int j = 0; j < nodes.height(); ++j) {
-      for (int i = 0; i < nodes.width(); ++i) {
-        const int u = difference.pixel(i), v = difference.pixel(j);
-        nodes(i, j) = prior(u, v) - polarization(u, v);
-        any = any || std::isfinite(nodes(i, j));
-      }
-    }
+    for_each_pixel(nodes.size(), [&](int i, int j) {
+      const int u = difference.pixel(i), v = difference.pixel(j);
+      nodes(i, j) = prior(u, v) - polarization(u, v);
+      any = any || std::isfinite(nodes(i, j));
+    });
     if (!any) throw no_common_node(polarization, prior, options.grid_px);
     disagreement.values() = nodes;
     const Mask needed = difference.nodes_under(prior, context);
@@ -229,17 +224,6 @@ struct Transfer {
     return std::isfinite(polarization) ? static_cast<float>(polarization + difference.at(u, v)) : prior;
   }
 };
-
-/// Mean of the finite values.
-double mean_of(const Image<float>& values) {
-  double sum = 0, count = 0;
-  for (const float value : values) {
-    if (!std::isfinite(value)) continue;
-    sum += value;
-    ++count;
-  }
-  return sum / count;
-}
 
 /// Throws a data error with the reason if no height was found.
 void require_height(const HeightMap& height) {
@@ -292,23 +276,21 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   if (height.status != HeightStatus::converged) surface.warnings.push_back(caution_of_moving_height(height));
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());
-  const double mean_depth = height.perspective ? 0 : mean_of(prior.depth);
-  parallel_rows(context, coarse.height(), [&](int v) {
-    for (int u = 0; u < coarse.width(); ++u) {
-      const float before = coarse(u, v);
-      surface.depth(u, v) = surface.sigma(u, v) = none;
-      if (!std::isfinite(before)) continue;
-      const float after = transfer.fused(u, v, polarization(u, v), before);
-      if (!std::isfinite(after)) continue;
-      // The change by the fusion, in GSD, is applied to the prior's own depth.
-      const double change = (after - before) * scale;
-      const double z = prior.depth(u, v);
-      const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;
-      const double gsd = z / focal;
-      surface.depth(u, v) = static_cast<float>(moved);
-      surface.sigma(u, v) = static_cast<float>(std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) +
-                                                         gsd * gsd * scale * scale * transfer.disagreement.at(u, v)));
-    }
+  const double mean_depth = height.perspective ? 0 : finite_mean(prior.depth, context);
+  parallel_pixels(context, coarse.size(), [&](int u, int v) {
+    const float before = coarse(u, v);
+    surface.depth(u, v) = surface.sigma(u, v) = none;
+    if (!std::isfinite(before)) return;
+    const float after = transfer.fused(u, v, polarization(u, v), before);
+    if (!std::isfinite(after)) return;
+    // The change by the fusion, in GSD, is applied to the prior's own depth.
+    const double change = (after - before) * scale;
+    const double z = prior.depth(u, v);
+    const double moved = height.perspective ? z * std::exp(-change / focal) : z - change * mean_depth / focal;
+    const double gsd = z / focal;
+    surface.depth(u, v) = static_cast<float>(moved);
+    surface.sigma(u, v) = static_cast<float>(
+        std::sqrt(prior.sigma(u, v) * prior.sigma(u, v) + gsd * gsd * scale * scale * transfer.disagreement.at(u, v)));
   });
   coarse = {};
   surface.normals = normals_from_depth(surface.depth, surface.camera, context);

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/fusion/ceres_outcome_internal.h"
@@ -90,10 +91,6 @@ class CellMean final : public ceres::CostFunction {
   double share_, target_;
 };
 
-struct Box {
-  int u0, v0, u1, v1;  // ends are excluded
-};
-
 /// How the solution of a tile ended. An unsolved tile keeps the surface that it started from.
 enum class TileOutcome { converged, still_changing, unsolved };
 
@@ -101,23 +98,20 @@ enum class TileOutcome { converged, still_changing, unsolved };
 class Tile {
  public:
   Tile(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
-       const OptimizeInput& input, const OptimizeOptions& options, Box box)
+       const OptimizeInput& input, const OptimizeOptions& options, const PixelRect& box)
       : heights_(heights),
         prior_heights_(prior_heights),
         camera_(camera),
         input_(input),
         options_(options),
         box_(box),
-        width_(box.u1 - box.u0),
-        values_(static_cast<std::size_t>(width_) * static_cast<std::size_t>(box.v1 - box.v0)),
+        values_(box.size().area()),
         reached_(values_.size(), false) {
-    for (int v = box.v0; v < box.v1; ++v)
-      for (int u = box.u0; u < box.u1; ++u) *at(u, v) = heights(u, v);
+    for_each_pixel(box, [&](int u, int v) { *at(u, v) = heights(u, v); });
   }
 
   TileOutcome solve() {
-    for (int v = box_.v0; v < box_.v1; ++v)
-      for (int u = box_.u0; u < box_.u1; ++u) add_equations(u, v);
+    for_each_pixel(box_, [&](int u, int v) { add_equations(u, v); });
     if (options_.prior_weight > 0) add_cells();
     if (problem_.NumResidualBlocks() == 0) return TileOutcome::converged;
     keep_unreached();
@@ -138,24 +132,17 @@ class Tile {
   double value(int u, int v) const { return values_[index(u, v)]; }
 
  private:
-  std::size_t index(int u, int v) const {
-    return static_cast<std::size_t>(v - box_.v0) * static_cast<std::size_t>(width_) +
-           static_cast<std::size_t>(u - box_.u0);
-  }
+  std::size_t index(int u, int v) const { return box_.size().index(u - box_.u0, v - box_.v0); }
   double* at(int u, int v) { return &values_[index(u, v)]; }
   bool has(int u, int v) const { return std::isfinite(heights_(u, v)); }
 
   void add_equations(int u, int v) {
     const Reflection kind = input_.reflection.at(u, v);
     if (kind == Reflection::outside || !has(u, v)) return;
-    AffineSlopes slopes = slopes_of_height(&input_.prior.camera);
-    if (camera_ != nullptr) {
-      slopes = slopes_of_log_depth(*camera_, u, v);
-      const double scale = -1 / camera_->focal();
-      for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
-    }
     const RayFrame frame = ray_frame(camera_, u, v);
-    const double azimuth = input_.polarization.phi(u, v) + (kind == Reflection::specular ? std::numbers::pi / 2 : 0.0);
+    const AffineSlopes slopes = camera_ != nullptr ? slopes_of_log_depth(*camera_, frame, u, v, -camera_->focal())
+                                                   : slopes_of_height(&input_.prior.camera);
+    const double azimuth = azimuth_of(kind, input_.polarization.phi(u, v));
     const double strength = input_.light.head<3>().norm();
     const Eigen::Vector3d light = input_.light.head<3>() / strength;
     const double shading = (input_.polarization.i_un(u, v) - input_.light[3]) / strength;
@@ -196,13 +183,11 @@ class Tile {
       for (int u0 = box_.u0 / cell * cell; u0 < box_.u1; u0 += cell) {
         std::vector<double*> pixels;
         double prior = 0;
-        for (int v = std::max(v0, box_.v0); v < std::min(v0 + cell, box_.v1); ++v) {
-          for (int u = std::max(u0, box_.u0); u < std::min(u0 + cell, box_.u1); ++u) {
-            if (!has(u, v)) continue;
-            pixels.push_back(at(u, v));
-            prior += prior_heights_(u, v);
-          }
-        }
+        for_each_pixel(box_.intersected({u0, v0, u0 + cell, v0 + cell}), [&](int u, int v) {
+          if (!has(u, v)) return;
+          pixels.push_back(at(u, v));
+          prior += prior_heights_(u, v);
+        });
         if (pixels.empty()) continue;
         const auto count = static_cast<double>(pixels.size());
         problem_.AddResidualBlock(new CellMean(pixels.size(), prior / count, options_.prior_weight * std::sqrt(count)),
@@ -214,32 +199,24 @@ class Tile {
   /// Pixels that no equation reaches (in a corner of the image, or enclosed by pixels without polarization) keep their
   /// heights: the mean of a cell alone would let them drift.
   void keep_unreached() {
-    for (int v = box_.v0; v < box_.v1; ++v) {
-      for (int u = box_.u0; u < box_.u1; ++u) {
-        if (!has(u, v) || reached_[index(u, v)]) continue;
-        problem_.AddResidualBlock(new CellMean(1, heights_(u, v), 1), nullptr, std::vector<double*>{at(u, v)});
-      }
-    }
+    for_each_pixel(box_, [&](int u, int v) {
+      if (!has(u, v) || reached_[index(u, v)]) return;
+      problem_.AddResidualBlock(new CellMean(1, heights_(u, v), 1), nullptr, std::vector<double*>{at(u, v)});
+    });
   }
 
   void hold_surroundings() {
-    const Size size = heights_.size();
-    for (int v = box_.v0; v < box_.v1; ++v) {
-      for (int u = box_.u0; u < box_.u1; ++u) {
-        const bool is_held = (box_.u0 > 0 && u < box_.u0 + held_px) || (box_.v0 > 0 && v < box_.v0 + held_px) ||
-                             (box_.u1 < size.width && u >= box_.u1 - held_px) ||
-                             (box_.v1 < size.height && v >= box_.v1 - held_px);
-        if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
-      }
-    }
+    for_each_pixel(box_, [&](int u, int v) {
+      const bool is_held = box_.is_at_cut(u, v, held_px, heights_.size());
+      if (is_held && problem_.HasParameterBlock(at(u, v))) problem_.SetParameterBlockConstant(at(u, v));
+    });
   }
 
   const Image<float>&heights_, &prior_heights_;
   const Pinhole* camera_;  ///< null = orthographic
   const OptimizeInput& input_;
   const OptimizeOptions& options_;
-  const Box box_;
-  const int width_;
+  const PixelRect box_;
   std::vector<double> values_;
   std::vector<bool> reached_;  ///< by an equation
   ceres::Problem problem_;
@@ -268,11 +245,8 @@ struct TileCounts {
 Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
                          const OptimizeInput& input, const OptimizeOptions& options, TileCounts& counts,
                          const Context& context) {
-  const auto axis = [](int extent) {
-    return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
-  };
-  const TiledAxis columns = axis(heights.width()), rows = axis(heights.height());
-  const int tiles = columns.tiles() * rows.tiles();
+  const TiledImage tiled(heights.size(), tile_px, margin_px);
+  const int tiles = tiled.tiles();
   Image<float> result(heights.size(), 1, 0.0F);
   std::vector<std::unique_ptr<Tile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
   std::vector<TileOutcome> outcomes(group.size());
@@ -280,27 +254,20 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
   for (int first = 0; first < tiles; first += static_cast<int>(group.size())) {
     context.check_cancel();
     context.progress("fuse", 0.2 + 0.8 * first / tiles, "all equations together");
-    const auto box_of = [&](int tile) {
-      const int column = tile % columns.tiles(), row = tile / columns.tiles();
-      return Box{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-    };
     parallel_for(context, group.size(), 1, [&](std::size_t i, std::size_t) {
       const int tile = first + static_cast<int>(i);
       group[i].reset();
       if (tile >= tiles) return;
-      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, box_of(tile));
+      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, tiled.box(tile));
       outcomes[i] = group[i]->solve();
     });
     for (std::size_t i = 0; i < group.size(); ++i) {
       if (!group[i]) continue;
-      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
-      const Box box = box_of(tile);
-      for (int v = box.v0; v < box.v1; ++v) {
-        for (int u = box.u0; u < box.u1; ++u) {
-          const double weight = columns.weight(column, u) * rows.weight(row, v);
-          if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
-        }
-      }
+      const int tile = first + static_cast<int>(i);
+      for_each_pixel(tiled.box(tile), [&](int u, int v) {
+        const double weight = tiled.weight(tile, u, v);
+        if (weight > 0) result(u, v) += static_cast<float>(weight * group[i]->value(u, v));
+      });
       counts.still_changing += outcomes[i] == TileOutcome::still_changing ? 1 : 0;
       counts.unsolved += outcomes[i] == TileOutcome::unsolved ? 1 : 0;
     }
@@ -317,13 +284,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
   const double focal = camera.focal();
   const Pinhole* rays = input.perspective ? &camera : nullptr;
   // Both heights refer to one origin, because each height has its own free constant.
-  double origin = 0, count = 0;
-  for (const float z : input.prior.depth) {
-    if (!std::isfinite(z)) continue;
-    origin += z;
-    ++count;
-  }
-  origin /= count;
+  const double origin = finite_mean(input.prior.depth, context);
   const auto height_of = [&](float z) {
     return static_cast<float>(input.perspective ? -focal * std::log(z / origin) : focal * (1 - z / origin));
   };

@@ -24,9 +24,8 @@ bool IndexSearch::contradicts() const {
 
 IndexSearch search_index(double supposed, const IndexCost& cost, const Context& context) {
   std::array<double, tries + 1> costs{};  // the last is the cost of the supposed index
-  parallel_for(context, costs.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i)
-      costs[i] = cost(i < tries ? first_index + index_step * static_cast<double>(i) : supposed);
+  parallel_for(context, costs.size(), 1, [&](std::size_t i, std::size_t) {
+    costs[i] = cost(i < tries ? first_index + index_step * static_cast<double>(i) : supposed);
   });
   const std::span<const double> tried(costs.data(), tries);
   const auto lowest = static_cast<std::size_t>(std::ranges::min_element(tried) - tried.begin());

@@ -20,32 +20,28 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
   const Size size = field.size();
   Image<float> mirrored(size, 1, none), both(size, 1, none), own(size, 1, none);
   if (field.reflection.metal_error > 0) return mirrored;
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const bool diffuse = field.kind_at(u, v) == Reflection::diffuse;
-      if (!field.object(u, v) || !(diffuse || field.usable(u, v))) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const double p = slopes[0], q = slopes[1], s0 = field.s0(u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(p, q);
-      mirrored(u, v) = static_cast<float>(model.mirrored / 2);
-      if (!diffuse || !field.usable(u, v)) continue;
-      // With the mirrored light multiplied by c the Stokes components are body + c · change: linear in c.
-      const double degree = fresnel_factors(p * p + q * q, field.reflection.eta).diffuse;
-      const Eigen::Vector2d body = degree * Eigen::Vector2d(p * p - q * q, 2 * p * q);
-      const Eigen::Vector2d change = Eigen::Vector2d(model.s1, model.s2) / s0 - body;
-      const Eigen::Vector2d left = Eigen::Vector2d(field.s1(u, v), field.s2(u, v)) / s0 - body;
-      both(u, v) = static_cast<float>(left.dot(change));
-      own(u, v) = static_cast<float>(change.squaredNorm());
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    const bool diffuse = field.kind(u, v) == Reflection::diffuse;
+    if (!field.object(u, v) || !(diffuse || field.usable(u, v))) return;
+    const Slopes slopes = central_slopes(field, u, v);
+    const double p = slopes.p, q = slopes.q, s0 = field.s0(u, v);
+    const PredictedStokes model = field.reflection_at(u, v).predict(p, q);
+    mirrored(u, v) = static_cast<float>(model.mirrored / 2);
+    if (!diffuse || !field.usable(u, v)) return;
+    // With the mirrored light multiplied by c the Stokes components are body + c · change: linear in c.
+    const double degree = fresnel_factors(p * p + q * q, field.reflection.eta).diffuse;
+    const Eigen::Vector2d body = degree * Eigen::Vector2d(p * p - q * q, 2 * p * q);
+    const Eigen::Vector2d change = Eigen::Vector2d(model.s1, model.s2) / s0 - body;
+    const Eigen::Vector2d left = Eigen::Vector2d(field.s1(u, v), field.s2(u, v)) / s0 - body;
+    both(u, v) = static_cast<float>(left.dot(change));
+    own(u, v) = static_cast<float>(change.squaredNorm());
   });
   const Image<float> mean_both = masked_blur(both, field.object, sigma_px, context);
   const Image<float> mean_own = masked_blur(own, field.object, sigma_px, context);
   constexpr float prior = static_cast<float>(misfit * misfit / (strength_sigma * strength_sigma));
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      if (!field.object(u, v) || field.kind_at(u, v) != Reflection::diffuse) continue;
-      mirrored(u, v) *= std::clamp((mean_both(u, v) + prior) / (mean_own(u, v) + prior), 0.0F, 2.0F);
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    if (!field.object(u, v) || field.kind(u, v) != Reflection::diffuse) return;
+    mirrored(u, v) *= std::clamp((mean_both(u, v) + prior) / (mean_own(u, v) + prior), 0.0F, 2.0F);
   });
   return mirrored;
 }

@@ -11,7 +11,7 @@ constexpr int quad_values = quad_px * quad_px;
 std::vector<QuadIndex> existing(const RefinementField& field, std::vector<QuadIndex> quads) {
   std::vector<QuadIndex> unique;
   for (const QuadIndex quad : quads) {
-    if (quad_has_object(field, quad) && std::find(unique.begin(), unique.end(), quad) == unique.end())
+    if (nodes_on_object(field, quad) > 0 && std::find(unique.begin(), unique.end(), quad) == unique.end())
       unique.push_back(quad);
   }
   return unique;
@@ -26,11 +26,9 @@ class Neighbourhood {
                 double const* const* parameters)
       : u0_(quad_px * quad.column), v0_(quad_px * quad.row) {
     for (std::size_t k = 0; k < quads.size(); ++k) {
-      for (int i = 0; i < quad_values; ++i) {
-        const int u = quad_px * quads[k].column + i % quad_px, v = quad_px * quads[k].row + i / quad_px;
-        if (!field.is_object(u, v)) continue;
+      for_each_node(field, quads[k], [&](int u, int v, int i) {
         entries_[index(u - u0_, v - v0_)] = {static_cast<int>(k), i, parameters[k][i]};
-      }
+      });
     }
   }
 
@@ -65,24 +63,22 @@ class NodeSlopes {
         dv_(dv),
         exists_(around.has(du, dv) && around.has(du + 1, dv) && around.has(du, dv + 1) && around.has(du + 1, dv + 1)),
         frame_(field.frame_at(around.u(du), around.v(dv))),
-        slopes_(ray_slopes(field.camera, frame_, around.u(du), around.v(dv))) {
+        affine_(slopes_of_log_depth(field.camera, frame_, around.u(du), around.v(dv), field.camera.focal())) {
     if (!exists_) return;
     const double falling = around.value(du + 1, dv + 1) - around.value(du, dv);
     const double rising = around.value(du + 1, dv) - around.value(du, dv + 1);
-    const double xu = 0.5 * (falling + rising), xv = 0.5 * (falling - rising);
-    p_ = slopes_.p(xu, xv);
-    q_ = slopes_.q(xu, xv);
+    slopes_ = affine_(0.5 * (falling + rising), 0.5 * (falling - rising));
   }
 
   bool exists() const { return exists_; }
   const RayFrame& frame() const { return frame_; }
-  double p() const { return p_; }
-  double q() const { return q_; }
+  double p() const { return slopes_.p; }
+  double q() const { return slopes_.q; }
 
   /// Adds the derivatives of a residual by the nodes, from its derivatives by the slopes.
   void add(double** jacobians, int residual, double by_p, double by_q, const Neighbourhood& around) const {
-    const double by_u = 0.5 * (by_p * slopes_.pu + by_q * slopes_.qu),
-                 by_v = 0.5 * (by_p * slopes_.pv + by_q * slopes_.qv);
+    const double by_u = 0.5 * (by_p * affine_.per_u.p + by_q * affine_.per_u.q),
+                 by_v = 0.5 * (by_p * affine_.per_v.p + by_q * affine_.per_v.q);
     around.add(jacobians, residual, du_, dv_, -by_u - by_v);
     around.add(jacobians, residual, du_ + 1, dv_, by_u - by_v);
     around.add(jacobians, residual, du_, dv_ + 1, by_v - by_u);
@@ -93,8 +89,8 @@ class NodeSlopes {
   int du_, dv_;
   bool exists_;
   RayFrame frame_;
-  RaySlopes slopes_;
-  double p_ = 0, q_ = 0;
+  AffineSlopes affine_;
+  Slopes slopes_;
 };
 
 /// Quads that hold the nodes from (u, v) to (u + reach, v + reach).
@@ -106,11 +102,10 @@ std::vector<QuadIndex> quads_after(int u, int v, int reach) {
 
 }  // namespace
 
-bool quad_has_object(const RefinementField& field, QuadIndex quad) {
-  for (int i = 0; i < quad_values; ++i) {
-    if (field.is_object(quad_px * quad.column + i % quad_px, quad_px * quad.row + i / quad_px)) return true;
-  }
-  return false;
+int nodes_on_object(const RefinementField& field, QuadIndex quad) {
+  int count = 0;
+  for_each_node(field, quad, [&](int, int, int) { ++count; });
+  return count;
 }
 
 QuadCost::QuadCost(const RefinementField& field, std::vector<QuadIndex> quads, int residuals)
@@ -254,21 +249,16 @@ PriorBlockCost::PriorBlockCost(const RefinementField& field, int block_column, i
           1),
       block_column_(block_column),
       block_row_(block_row) {
-  for (const QuadIndex quad : quads_) {
-    for (int i = 0; i < quad_values; ++i) {
-      count_ += field.is_object(quad_px * quad.column + i % quad_px, quad_px * quad.row + i / quad_px);
-    }
-  }
+  for (const QuadIndex quad : quads_) count_ += nodes_on_object(field, quad);
 }
 
 void PriorBlockCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   double sum = 0;
   for (std::size_t k = 0; k < quads_.size(); ++k) {
-    for (int i = 0; i < quad_values; ++i) {
-      if (!field_.is_object(quad_px * quads_[k].column + i % quad_px, quad_px * quads_[k].row + i / quad_px)) continue;
+    for_each_node(field_, quads_[k], [&](int, int, int i) {
       sum += parameters[k][i];
       if (jacobians != nullptr && jacobians[k] != nullptr) jacobians[k][i] = 1.0 / count_;
-    }
+    });
   }
   residuals[0] = sum / count_ - field_.block_mean(block_column_, block_row_);
 }

@@ -24,8 +24,17 @@ struct QuadIndex {
   bool operator==(const QuadIndex&) const = default;
 };
 
-/// Whether any pixel of the quad is on the object.
-bool quad_has_object(const RefinementField& field, QuadIndex quad);
+/// Calls visit(u, v, i) for the quad's nodes that are on the object; i is the node's place in the parameter block.
+template <class Visit>
+void for_each_node(const RefinementField& field, QuadIndex quad, Visit&& visit) {
+  for (int i = 0; i < quad_px * quad_px; ++i) {
+    const int u = quad_px * quad.column + i % quad_px, v = quad_px * quad.row + i / quad_px;
+    if (field.is_object(u, v)) visit(u, v, i);
+  }
+}
+
+/// Number of the quad's nodes that are on the object.
+int nodes_on_object(const RefinementField& field, QuadIndex quad);
 
 /// Cost function over those of the given quads that hold a node of the object; `quads()` are its parameter blocks, in
 /// order.

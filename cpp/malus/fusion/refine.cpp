@@ -47,28 +47,16 @@ std::vector<RowRange> rows_of(const std::vector<TileStrip>& strips) {
 
 void label_regions(RefinementImage& image, const RefineInput& input, const std::vector<RowRange>& strips,
                    const Context& context) {
-  switch (input.reflection) {
-    case ReflectionChoice::automatic:
-      label_reflection(image, strips, context);
-      return;
-    case ReflectionChoice::diffuse:
-      image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
-      return;
-    case ReflectionChoice::specular:
-      image.kind.fill(static_cast<std::uint8_t>(Reflection::specular));
-      return;
-    case ReflectionChoice::labels:
-      label_reflection(image, strips, context);
-      require_labels(input.labels, image.camera.size);
-      for (int v = 0; v < input.labels.height(); ++v) {
-        for (int u = 0; u < input.labels.width(); ++u) {
-          const int label = input.labels(u, v);
-          if (label == 1) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::diffuse);
-          if (label == 2) image.kind(u, v) = static_cast<std::uint8_t>(Reflection::specular);
-        }
-      }
-      return;
+  if (input.reflection == ReflectionChoice::diffuse || input.reflection == ReflectionChoice::specular) {
+    image.kind.fill(input.reflection == ReflectionChoice::diffuse ? Reflection::diffuse : Reflection::specular);
+    return;
   }
+  label_reflection(image, strips, context);
+  if (input.reflection != ReflectionChoice::labels) return;
+  require_labels(input.labels, image.camera.size);
+  for_each_pixel(input.labels.size(), [&](int u, int v) {
+    if (input.labels(u, v) != 0) image.kind(u, v) = static_cast<Reflection>(input.labels(u, v));
+  });
 }
 
 MirroredTerms mirrored_terms(const RefineOptions& options) {
@@ -110,24 +98,12 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
   return lobe_gain;
 }
 
-/// Side of a square as large as the object [px].
-double object_side(const SurfaceEstimate& surface) {
-  return std::sqrt(
-      static_cast<double>(std::count_if(surface.object.begin(), surface.object.end(), [](auto m) { return m != 0; })));
-}
-
 /// Median s0 of the specular pixels, from a sample of large objects.
 double median_specular_s0(const RefinementImage& image) {
-  const double share = share_of_set(image.usable, 4e6);
   std::vector<float> values;
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const auto pixel =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (image.usable[pixel] && image.kind_at(u, v) == Reflection::specular && is_chosen(pixel, share))
-        values.push_back(image.source->at(u, v).s0);
-    }
-  }
+  for_each_chosen(image.usable, 4e6, [&](int u, int v) {
+    if (image.kind(u, v) == Reflection::specular) values.push_back(image.source(u, v).s0);
+  });
   return median_in_place(values);
 }
 
@@ -145,7 +121,7 @@ bool looks_like_metal(const RefinementImage& image) {
 /// whose brightness changes with roughness and color, they are ten times larger.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor) {
   constexpr double longest = 1.6;
-  const double gsd = image.depth_of(0) / image.focal;
+  const double gsd = image.depth_of(0) / image.camera.focal();
   const double length = anchor * std::sqrt(std::max(prior.noise / gsd * prior.spacing_px, 0.0));
   constexpr double of_metal = 0.3;
   if (image.reflection.metal_error > 0) return of_metal * length;
@@ -153,23 +129,11 @@ double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, d
   return length * std::clamp(length / (2 * prior.smoothing_px), 1.0, longest);
 }
 
-bool has_usable(const RefinementImage& image) {
-  return std::any_of(image.usable.begin(), image.usable.end(), [](auto m) { return m != 0; });
-}
-
 /// Mean normal of an even sample of the object's pixels, camera frame, facing the camera.
 Eigen::Vector3d mean_normal(const RefinementImage& image) {
-  const double share = share_of_set(image.pixels, 4e4);
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const auto pixel =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!image.pixels(u, v) || !is_chosen(pixel, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      sum += normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
-    }
-  }
+  for_each_chosen(image.pixels, 4e4,
+                  [&](int u, int v) { sum += image.frame_at(u, v).normal(central_slopes(image, u, v)); });
   return sum.norm() > 0 ? Eigen::Vector3d(sum.normalized()) : Eigen::Vector3d(0, 0, -1);
 }
 
@@ -180,7 +144,7 @@ double change_at(const RefinementField& field, int u, int v) {
   static constexpr std::array<double, 4> cubic{-1.0 / 16, 9.0 / 16, 9.0 / 16, -1.0 / 16};
   const auto change = [&](int i, int j) { return field.x(i, j) - field.x_prior(i, j); };
   const double mean = 0.25 * (change(u, v) + change(u + 1, v) + change(u, v + 1) + change(u + 1, v + 1));
-  if (field.kind_at(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
+  if (field.kind(u, v) == Reflection::diffuse && !field.reflection.mirrored) return mean;
   double sum = 0;
   for (int j = 0; j < 4; ++j) {
     for (int i = 0; i < 4; ++i) {
@@ -234,7 +198,7 @@ class Refiner {
     // The second model has hundreds of parameters more, and these explain a part of any data.
     constexpr double clearly = 0.1;
     fit_reflection(image_, options_, false, report_, map_, context_);
-    const ExplainedPolarization at_prior = explained(nullptr);
+    const ExplainedPolarization at_prior = explained();
     const double by_labels = mean_over_object(at_prior.shares(false, context_));
     // A black mirror's polarization follows from its slopes alone: a map of the surroundings cannot explain more.
     constexpr double well = 0.75, nearly_all = 0.9;
@@ -242,11 +206,11 @@ class Refiner {
     // explain the mirror image beyond what a plane explains, the light is therefore kept as fitted at them.
     is_mirror_known_ = mean_over_object(at_prior.shares(true, context_)) > nearly_all;
     const bool mirrors = specular_share(image_) > 0.5, is_mirror = mirrors && by_labels > options_.explained_least;
-    if (is_mirror || by_labels > well || !has_usable(image_)) return;
-    const Image<std::uint8_t> labels = image_.kind;
+    if (is_mirror || by_labels > well || count_of_set(image_.usable) == 0) return;
+    const Image<Reflection> labels = image_.kind;
     const Mask usable = image_.usable;
     const ReflectionModel model = image_.reflection;
-    image_.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+    image_.kind.fill(Reflection::diffuse);
     leave_out_self_mirroring();
     // The regions' index was estimated with the other model.
     image_.reflection.eta = supposed_index();
@@ -266,7 +230,7 @@ class Refiner {
     }
     find_other_finish(dielectric, image_, report_, map_, context_);
     if (options_.correct_index) correct_index();
-    if (mean_over_object(explained(nullptr).shares(false, context_)) > by_labels + clearly) {
+    if (mean_over_object(explained().shares(false, context_)) > by_labels + clearly) {
       report_index(image_.reflection.eta != supposed_index(), index_of_body_sigma);
       return;
     }
@@ -297,12 +261,17 @@ class Refiner {
     mirrors_ = specular_share(image_) > worthwhile_share;
     searches_ = options_.search && mirrors_;
     // The search for other minima takes most of the time, and the regions that it finds are larger than a few pixels.
-    const bool coarse_first = searches_ && object_side(image_) >= 2 * options_.coarsest_px;
+    const bool coarse_first = searches_ && side_of_set(image_.object) >= 2 * options_.coarsest_px;
     if (coarse_first) {
       const double share = 0.4;
       const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
       RefinementImage coarse = coarsened(image_, context_);
-      Refiner at_half(coarse, options_, report_, context_, coarse_range, 2 * binning_);
+      // Distances from the prior are smaller numbers in a larger GSD.
+      RefineOptions in_larger_gsd = options_;
+      in_larger_gsd.prior_weight *= 2;
+      in_larger_gsd.good_prior_weight *= 2;
+      in_larger_gsd.prior_robust_gsd /= 2;
+      Refiner at_half(coarse, in_larger_gsd, report_, context_, coarse_range, 2 * binning_);
       at_half.is_mirror_known_ = is_mirror_known_;
       total_ += at_half.run();
       take_over(image_, coarse, context_);
@@ -329,31 +298,28 @@ class Refiner {
     if (!options_.evidence) return;
     const Size size = image_.size();
     report_.trust = Image<std::uint8_t>(size);
-    Image<double> x_prior(size);
-    const ExplainedPolarization at_prior = explained(&x_prior);
+    const Image<double> x_prior = image_.prior_surface(context_);
+    const ExplainedPolarization at_prior = explained();
     const Image<float> beyond_plane = at_prior.shares(true, context_);
     const bool with_map = image_.reflection.mirrored != nullptr, explained_as_metal = image_.reflection.metal_error > 0;
     const Image<float> shares = with_map ? beyond_plane : at_prior.shares(false, context_);
-    const Image<float> after = explained_by_result(false).shares(context_);
+    const Image<float> after = explained_by_result(false);
     report_.explained_share = mean_over_object(shares);
     const Image<float> in_metal = explained_as_metal ? trust_in_metal(after, x_prior) : Image<float>();
     // The slopes from a dielectric's formulas are wrong for a metal, however well they fit.
     const bool is_metal = looks_like_metal(image_), settled = has_settled(report_);
     const GainByScale::Gains gains = gain_of_movement(x_prior);
-    parallel_rows(context_, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image_.object(u, v)) continue;
-        const auto share = [&](const Image<float>& cells) {
-          return between_cells(cells, ExplainedPolarization::cell_px, u, v);
-        };
-        const double trust = is_metal || !settled ? 0
-                             : explained_as_metal ? share(in_metal)
-                             : with_map           ? trust_with_surroundings(share(shares), share(after))
-                                                  : trust_of(share(shares), share(after));
-        const double gained = trust_of_gain(between_cells(gains.all.gain, gains.all.cell_px, u, v));
-        if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
-        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
-      }
+    parallel_pixels(context_, image_.object, [&](int u, int v) {
+      const auto share = [&](const Image<float>& cells) {
+        return between_cells(cells, ExplainedPolarization::cell_px, u, v);
+      };
+      const double trust = is_metal || !settled ? 0
+                           : explained_as_metal ? share(in_metal)
+                           : with_map           ? trust_with_surroundings(share(shares), share(after))
+                                                : trust_of(share(shares), share(after));
+      const double gained = trust_of_gain(between_cells(gains.all.gain, gains.all.cell_px, u, v));
+      if (image_.pixels(u, v)) report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
+      image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
     });
     anchor_to_prior(image_, x_prior, std::min(anchor_length_px(prior, image_, options_.anchor), longest_wave_px_),
                     context_);
@@ -376,14 +342,11 @@ class Refiner {
   void stay_near_prior(const Image<double>& x_prior) {
     constexpr double allowed = 3, too_far = 5;
     const Image<float> deviations = deviations_from_prior(image_, x_prior, context_);
-    parallel_rows(context_, image_.size().height, [&](int v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
-        const double trust = 1 - ramp(deviation, allowed, too_far);
-        image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
-        report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
-      }
+    parallel_pixels(context_, image_.object, [&](int u, int v) {
+      const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
+      const double trust = 1 - ramp(deviation, allowed, too_far);
+      image_.x(u, v) = x_prior(u, v) + trust * (image_.x(u, v) - x_prior(u, v));
+      report_.trust(u, v) = static_cast<std::uint8_t>(std::lround(trust * report_.trust(u, v)));
     });
   }
 
@@ -417,13 +380,13 @@ class Refiner {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
         for (int u = 0; u < size.width; ++u) {
           if (!image_.pixels(u, v)) continue;
-          surface.depth(u, v) =
-              static_cast<float>(prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.focal));
+          surface.depth(u, v) = static_cast<float>(
+              prior.depth(u, v) * std::exp(change_at(strip.field, u, strip_v) / image_.camera.focal()));
           // Systematic errors of the prior do not average out: sigma must not fall below them.
           const bool is_noise = prior.noise > 0 || prior.sigma.empty();
           surface.sigma(u, v) = is_noise ? sigma(u, strip_v) : std::max(sigma(u, strip_v), prior.sigma(u, v));
           report_.mirrored(u, v) = mirrored(u, strip_v);
-          report_.label(u, v) = image_.kind(u, v);
+          report_.label(u, v) = static_cast<std::uint8_t>(image_.kind(u, v));
           report_.confidence(u, v) =
               static_cast<std::uint8_t>(std::lround(255 * stokes_weight(strip.field, u, strip_v)));
         }
@@ -479,11 +442,7 @@ class Refiner {
   /// Reduces the movement from the prior to the part that is gain, and returns the gains.
   GainByScale::Gains gain_of_movement(const Image<double>& x_prior) {
     GainByScale gain(image_.size(), image_.reflection.metal_error > 0);
-    for (const TileStrip& tiles : strips_) {
-      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
-      update_weights(strip.field, weights(1, false), context_);
-      gain.add(strip.field, strip.rows, strip.first_row, context_);
-    }
+    add_strips(false, gain);
     GainByScale::Gains gains = gain.gains(context_);
     const Image<float> movement = movement_that_is_gain(image_, x_prior, gains, context_);
     for (std::size_t i = 0; i < movement.count(); ++i) {
@@ -516,7 +475,7 @@ class Refiner {
   Image<float> trust_in_metal(const Image<float>& after, const Image<double>& x_prior) const {
     constexpr double least = 0.05, enough = 0.2, doubtful = 0.75, nearly_all = 0.9;
     constexpr double too_far = 0.9, within = 0.95;
-    const Image<float> before = explained_by_result(true).shares(context_);
+    const Image<float> before = explained_by_result(true);
     Image<float> trust(after.size());
     for (std::size_t i = 0; i < trust.count(); ++i) {
       const double gained = (after[i] - before[i]) / std::max(1.0 - before[i], 1e-6);
@@ -531,49 +490,30 @@ class Refiner {
   /// Share of the object within two of the prior's standard deviations of the prior.
   double within_prior_errors(const Image<double>& x_prior) const {
     double within = 0, count = 0;
-    for (int v = 0; v < image_.size().height; ++v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source->at(u, v).prior_sigma;
-        ++count;
-      }
-    }
+    for_each_pixel(image_.object, [&](int u, int v) {
+      within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
+      ++count;
+    });
     return within / std::max(count, 1.0);
   }
 
   WeightOptions weights(double widening, bool regional) const {
-    WeightOptions weights;
-    weights.robust_scale = options_.robust_scale;
-    weights.specular_widening = widening;
-    weights.relative_error = options_.relative_error;
-    weights.slope_error = options_.slope_error;
-    // Distances from the prior are smaller numbers in a larger GSD.
-    weights.prior_weight = binning_ * options_.prior_weight;
-    weights.good_prior_weight = binning_ * options_.good_prior_weight;
-    weights.prior_robust_gsd = options_.prior_robust_gsd / binning_;
-    weights.albedo_weight = options_.albedo_weight;
-    weights.albedo_contrast = options_.albedo_contrast;
     // If there is a light source that casts shadows and highlights, regions that fit badly are such.
     constexpr double telling_gain = 0.15, regional_sigma_px = 2;
-    if (regional && options_.regional_weights && lobe_gain_ > telling_gain)
-      weights.regional_sigma_px = regional_sigma_px;
-    return weights;
+    const bool weighs_regions = regional && options_.regional_weights && lobe_gain_ > telling_gain;
+    return {options_, widening, weighs_regions ? regional_sigma_px : 0};
   }
 
   /// Pixels that mirror the object itself are not used: a map of the surroundings cannot explain them.
   void leave_out_self_mirroring() {
     constexpr double most = 0.5;  // above this share the prior is too inaccurate to decide
     const Mask self = self_mirroring_pixels(image_, context_);
-    double left_out = 0, all = 0;
-    for (std::size_t i = 0; i < self.count(); ++i) {
-      all += image_.usable[i] != 0;
-      left_out += image_.usable[i] && self[i];
-    }
-    if (left_out > most * all) return;
+    const double left_out = share_within(self, image_.usable);
+    if (left_out > most) return;
     for (std::size_t i = 0; i < self.count(); ++i) {
       if (self[i]) image_.usable[i] = 0;
     }
-    report_.self_mirroring_share = left_out / std::max(all, 1.0);
+    report_.self_mirroring_share = left_out;
   }
 
   double supposed_index() const { return stated_index_.value_or(ReflectionModel().eta); }
@@ -598,42 +538,38 @@ class Refiner {
     fit_mirrored(image_, report_, map_, context_);
   }
 
-  /// How much of the polarization the reflection model explains at the prior's slopes. Copies the prior to `x_prior`
-  /// unless it is null.
-  ExplainedPolarization explained(Image<double>* x_prior) const {
-    ExplainedPolarization explained(image_.size(), mean_normal_);
-    for (const TileStrip& tiles : strips_) {
-      StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
-      std::swap(strip.field.x, strip.field.x_prior);
-      update_weights(strip.field, weights(1, false), context_);
-      explained.add(strip.field, strip.rows, strip.first_row, context_);
-      for (int v = strip.rows.begin; v < strip.rows.end && x_prior != nullptr; ++v)
-        std::copy_n(strip.field.x.row(v), image_.size().width, x_prior->row(strip.first_row + v));
-    }
-    return explained;
-  }
-
-  /// How much of the polarization the reflection model explains at the current surface, or at the prior's.
-  ExplainedByResult explained_by_result(bool at_prior) const {
-    ExplainedByResult explained(image_.size());
+  /// Adds all strips, with the weights at the current surface or at the prior's.
+  template <class Sum>
+  void add_strips(bool at_prior, Sum& sum) const {
     for (const TileStrip& tiles : strips_) {
       StripField strip = strip_field(image_, tiles.rows, whole_blocks(weights_reach_px), context_);
       if (at_prior) std::swap(strip.field.x, strip.field.x_prior);
       update_weights(strip.field, weights(1, false), context_);
-      explained.add(strip.field, strip.rows, strip.first_row, context_);
+      sum.add(strip.field, strip.rows, strip.first_row, context_);
     }
+  }
+
+  /// How much of the polarization the reflection model explains at the prior's slopes.
+  ExplainedPolarization explained() const {
+    ExplainedPolarization explained(image_.size(), mean_normal_);
+    add_strips(true, explained);
     return explained;
+  }
+
+  /// How much of the polarization the reflection model explains at the current surface, or at the prior's: shares of
+  /// the cells.
+  Image<float> explained_by_result(bool at_prior) const {
+    ExplainedByResult explained(image_.size());
+    add_strips(at_prior, explained);
+    return explained.shares(context_);
   }
 
   double mean_over_object(const Image<float>& cells) const {
     double sum = 0, count = 0;
-    for (int v = 0; v < image_.size().height; ++v) {
-      for (int u = 0; u < image_.size().width; ++u) {
-        if (!image_.object(u, v)) continue;
-        sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
-        ++count;
-      }
-    }
+    for_each_pixel(image_.object, [&](int u, int v) {
+      sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
+      ++count;
+    });
     return sum / count;
   }
 
@@ -694,11 +630,10 @@ class Refiner {
     // One step per solve while the shared parameters still come from the prior's slopes. A map changes in every round.
     constexpr std::size_t careful_rounds = 2;
     const bool careful = image_.reflection.mirrored || report_.iterations.size() < careful_rounds;
-    TileOptions solver{careful ? 1 : options_.steps, options_.smoothness};
-    solver.prior_robust_gsd = options_.prior_robust_gsd / binning_;
     // Without this weight, errors that a map of hundreds of cells cannot explain would move the slopes.
     constexpr double slope_weight = 4;
-    if (image_.reflection.mirrored) solver.slope_weight = slope_weight;
+    const TileOptions solver{careful ? 1 : options_.steps, options_.smoothness,
+                             image_.reflection.mirrored ? slope_weight : 0, options_.prior_robust_gsd};
     std::vector<Tile> in_strip = tiles;
     for (Tile& tile : in_strip) tile = {tile.core.from(0, strip.first_row), tile.outer.from(0, strip.first_row)};
     const std::vector<TileSolution> solutions = solve_tiles(

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/fusion/surface_estimate_internal.h"
 
 namespace malus {
@@ -30,16 +31,13 @@ struct RefinementField : SurfaceEstimate {
   double albedo_contrast = 0.04;  ///< … and the change whose weight is halved
   Image<float> block_weight, block_mean;  ///< prior blocks: weight (1 / GSD²), mean of x_prior
 
-  Size block_count() const {
-    return {(object.width() + prior_block_px - 1) / prior_block_px,
-            (object.height() + prior_block_px - 1) / prior_block_px};
-  }
+  Size block_count() const { return cells_over(object.size(), prior_block_px); }
   PixelReflection reflection_at(int u, int v) const { return reflection_at(u, v, frame_at(u, v)); }
   PixelReflection reflection_at(int u, int v, const RayFrame& frame) const {
-    return {reflection, kind_at(u, v), s0(u, v), mirror_body(u, v), frame, has_other_finish(u, v)};
+    return {reflection, kind(u, v), s0(u, v), mirror_body(u, v), frame, has_other_finish(u, v)};
   }
   double robust_scale_at(int u, int v) const {
-    return kind_at(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;
+    return kind(u, v) == Reflection::specular ? robust_scale * specular_widening : robust_scale;
   }
 };
 

@@ -10,7 +10,7 @@ namespace {
 constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// Pixel data of a station.
-class StationPixels final : public PixelSource {
+class StationPixels {
  public:
   StationPixels(const PolarizationState& state, const DepthPrior& prior, Mask pixels, double log_depth_origin)
       : state_(state),
@@ -20,7 +20,7 @@ class StationPixels final : public PixelSource {
         log_depth_origin_(log_depth_origin),
         variances_(state) {}
 
-  PixelData at(int u, int v) const override {
+  PixelData operator()(int u, int v) const {
     PixelData pixel = node(u, v);
     if (!pixels_(u, v)) return pixel;
     const Eigen::Vector3d stokes = state_.stokes(u, v);
@@ -73,13 +73,10 @@ class StationPixels final : public PixelSource {
 
 double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
   double sum = 0, count = 0;
-  for (int v = 0; v < prior.depth.height(); ++v) {
-    for (int u = 0; u < prior.depth.width(); ++u) {
-      if (!pixels(u, v)) continue;
-      sum += std::log(static_cast<double>(prior.depth(u, v)));
-      ++count;
-    }
-  }
+  for_each_pixel(pixels, [&](int u, int v) {
+    sum += std::log(static_cast<double>(prior.depth(u, v)));
+    ++count;
+  });
   if (count == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
   return sum / count;
 }
@@ -89,7 +86,6 @@ double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
 RefinementField RefinementImage::part(const PixelRect& rect, const Context& context) const {
   RefinementField field;
   field.camera = camera.cropped(rect);
-  field.focal = focal;
   field.log_depth_origin = log_depth_origin;
   field.object = cropped(object, rect);
   field.usable = cropped(usable, rect);
@@ -103,23 +99,27 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
   for (Image<float>* raster : {&field.prior_sigma, &field.s0, &field.s1, &field.s2, &field.variance, &field.mirror_body,
                                &field.stokes_precision, &field.regional_weight, &field.log_body})
     *raster = Image<float>::uninitialized(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const PixelData pixel =
-          field.object(u, v) ? source->at(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
-      field.x_prior(u, v) = pixel.x_prior;
-      field.prior_sigma(u, v) = pixel.prior_sigma;
-      field.s0(u, v) = pixel.s0;
-      field.s1(u, v) = pixel.s1;
-      field.s2(u, v) = pixel.s2;
-      field.variance(u, v) = pixel.variance;
-      field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
-      field.regional_weight(u, v) = 1;
-      field.log_body(u, v) = none;
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    const PixelData pixel =
+        field.object(u, v) ? source(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
+    field.x_prior(u, v) = pixel.x_prior;
+    field.prior_sigma(u, v) = pixel.prior_sigma;
+    field.s0(u, v) = pixel.s0;
+    field.s1(u, v) = pixel.s1;
+    field.s2(u, v) = pixel.s2;
+    field.variance(u, v) = pixel.variance;
+    field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
+    field.regional_weight(u, v) = 1;
+    field.log_body(u, v) = none;
   });
   field.block_weight = field.block_mean = Image<float>(field.block_count());
   return field;
+}
+
+Image<double> RefinementImage::prior_surface(const Context& context) const {
+  Image<double> x_prior(size(), 1, none);
+  parallel_pixels(context, object, [&](int u, int v) { x_prior(u, v) = source(u, v).x_prior; });
+  return x_prior;
 }
 
 RefinementImage make_image(const PolarizationState& state, const DepthPrior& prior, const Context& context) {
@@ -128,27 +128,20 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   if (!prior.sigma.empty()) require_size(prior.sigma, size, "the prior's sigma");
   RefinementImage image;
   image.camera = prior.camera;
-  image.focal = prior.camera.focal();
   const Size nodes{size.width + 1, size.height + 1};
   image.pixels = image.usable = Mask(nodes);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
-      if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) continue;
-      image.pixels(u, v) = 255;
-      const Eigen::Vector3d stokes = state.stokes(u, v);
-      image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
-    }
+  parallel_pixels(context, size, [&](int u, int v) {
+    const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
+    if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) return;
+    image.pixels(u, v) = 255;
+    const Eigen::Vector3d stokes = state.stokes(u, v);
+    image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
   });
   image.object = nodes_of(image.pixels);
   image.log_depth_origin = mean_log_depth(image.pixels, prior);
-  image.source = std::make_shared<StationPixels>(state, prior, image.pixels, image.log_depth_origin);
-  image.x = Image<double>::uninitialized(nodes);
-  image.kind = Image<std::uint8_t>(nodes);
-  parallel_rows(context, nodes.height, [&](int v) {
-    for (int u = 0; u < nodes.width; ++u)
-      image.x(u, v) = image.object(u, v) ? image.source->at(u, v).x_prior : static_cast<double>(none);
-  });
+  image.source = StationPixels(state, prior, image.pixels, image.log_depth_origin);
+  image.x = image.prior_surface(context);
+  image.kind = Image<Reflection>(nodes);
   return image;
 }
 

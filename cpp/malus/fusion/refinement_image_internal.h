@@ -1,8 +1,10 @@
 #pragma once
 
-#include <memory>
+#include <algorithm>
+#include <functional>
 
 #include "malus/core/context.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/prior/depth_prior.h"
@@ -16,22 +18,17 @@ struct PixelData {
   float s0 = 0, s1 = 0, s2 = 0, variance = 0;
 };
 
-/// Source of the pixels' data of a RefinementImage.
-class PixelSource {
- public:
-  virtual ~PixelSource() = default;
-  virtual PixelData at(int u, int v) const = 0;
-};
-
 /// The image that is refined. A field takes 60 bytes per pixel, and as much again while its weights are computed. Only
 /// the data that change from round to round are therefore kept for all pixels; a field is made for one part at a time.
 struct RefinementImage : SurfaceEstimate {
   Mask pixels;  ///< of the object, in the nodes' raster
-  std::shared_ptr<const PixelSource> source;
+  std::function<PixelData(int u, int v)> source;
 
   /// Field of a part with the present surface, without weights. The part's borders must be multiples of the prior
   /// blocks, or the image's.
   RefinementField part(const PixelRect& rect, const Context& context) const;
+  /// The prior at all nodes of the object, NaN elsewhere.
+  Image<double> prior_surface(const Context& context) const;
 };
 
 /// Image of the object's pixels where the prior has a depth, with the prior's surface; `state` and `prior` must outlive
@@ -50,5 +47,19 @@ struct StripField {
   RowRange rows;      ///< the requested rows, in the field
 };
 StripField strip_field(const RefinementImage& image, RowRange rows, int margin, const Context& context);
+
+/// Calls body(column, row, pixels) for every cell with some of the rows of a part of the image, on the context's
+/// threads: column and row count from the image's first cell, and `pixels` are those of the rows, in the part.
+/// `first_row`: the part's first row, in the image.
+template <class Body>
+void for_each_cell(int cell_px, int width, RowRange rows, int first_row, const Context& context, Body&& body) {
+  const int first = (first_row + rows.begin) / cell_px, last = (first_row + rows.end - 1) / cell_px;
+  const PixelRect in_rows{0, rows.begin, width, rows.end};
+  const Size cells{cells_over({width, 1}, cell_px).width, last - first + 1};
+  parallel_pixels(context, cells, [&](int column, int i) {
+    const int u0 = column * cell_px, v0 = (first + i) * cell_px - first_row;
+    body(column, first + i, in_rows.intersected({u0, v0, u0 + cell_px, v0 + cell_px}));
+  });
+}
 
 }  // namespace malus

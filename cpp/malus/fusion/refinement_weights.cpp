@@ -24,16 +24,14 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   const MirrorReflection& mirror = field.reflection.mirror;
   Image<float> body(field.size(), 1, none), weight(field.size(), 1, none), product(field.size(), 1, none);
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v) || !field.usable(u, v) || field.kind_at(u, v) != Reflection::specular) continue;
-      const double tan2 = central_slopes(field, u, v).squaredNorm();
-      const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
-      const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
-      body(u, v) = static_cast<float>(rest);
-      weight(u, v) = static_cast<float>(w);
-      product(u, v) = static_cast<float>(w * rest);
-    }
+  parallel_pixels(context, field.size(), [&](int u, int v) {
+    if (!field.object(u, v) || !field.usable(u, v) || field.kind(u, v) != Reflection::specular) return;
+    const double tan2 = central_slopes(field, u, v).tan2();
+    const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
+    const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
+    body(u, v) = static_cast<float>(rest);
+    weight(u, v) = static_cast<float>(w);
+    product(u, v) = static_cast<float>(w * rest);
   });
   const Image<float> products = masked_blur(product, field.usable, blur_px, context);
   const Image<float> weights = masked_blur(weight, field.usable, blur_px, context);
@@ -46,37 +44,34 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
 }
 
 bool has_specular(const RefinementField& field) {
-  return std::find(field.kind.begin(), field.kind.end(), static_cast<std::uint8_t>(Reflection::specular)) !=
-         field.kind.end();
+  return std::find(field.kind.begin(), field.kind.end(), Reflection::specular) != field.kind.end();
 }
 
 PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& options, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double darkest_body = 1e-3;
   PixelResiduals out{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      field.stokes_precision(u, v) = 0;
-      field.regional_weight(u, v) = 1;
-      field.log_body(u, v) = none;
-      if (!field.object(u, v) || !field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const RayFrame frame = field.frame_at(u, v);
-      const double s0 = field.s0(u, v);
-      const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-      const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
-      // Where a metal's s0 differs from the map's, its polarization differs by the same factor.
-      const double dimmed = square(field.reflection.metal_error) * (square(m.s1) + square(m.s2));
-      const double variance = field.variance(u, v) + square(options.relative_error * s0) +
-                              0.5 * (square(options.slope_error) * steepness + dimmed);
-      const double squared = 0.5 * (square(field.s1(u, v) - m.s1) + square(field.s2(u, v) - m.s2)) / variance;
-      out.squared(u, v) = static_cast<float>(squared);
-      field.stokes_precision(u, v) = static_cast<float>(1 / variance);
-      if (field.kind_at(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) continue;
-      field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
-      out.log_albedo(u, v) =
-          static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes[0], slopes[1]).value);
-    }
+  parallel_pixels(context, field.size(), [&](int u, int v) {
+    field.stokes_precision(u, v) = 0;
+    field.regional_weight(u, v) = 1;
+    field.log_body(u, v) = none;
+    if (!field.object(u, v) || !field.usable(u, v)) return;
+    const Slopes slopes = central_slopes(field, u, v);
+    const RayFrame frame = field.frame_at(u, v);
+    const double s0 = field.s0(u, v);
+    const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
+    const double steepness = square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q);
+    // Where a metal's s0 differs from the map's, its polarization differs by the same factor.
+    const double dimmed = square(field.reflection.metal_error) * (square(m.s1) + square(m.s2));
+    const double variance = field.variance(u, v) + square(options.relative_error * s0) +
+                            0.5 * (square(options.slope_error) * steepness + dimmed);
+    const double squared = 0.5 * (square(field.s1(u, v) - m.s1) + square(field.s2(u, v) - m.s2)) / variance;
+    out.squared(u, v) = static_cast<float>(squared);
+    field.stokes_precision(u, v) = static_cast<float>(1 / variance);
+    if (field.kind(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) return;
+    field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
+    out.log_albedo(u, v) =
+        static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes.p, slopes.q).value);
   });
   return out;
 }
@@ -105,26 +100,21 @@ double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
 
 void weigh_prior_blocks(RefinementField& field, const WeightOptions& options, const Context& context) {
   const Size blocks = field.block_count();
-  parallel_rows(context, blocks.height, [&](int row) {
-    for (int column = 0; column < blocks.width; ++column) {
-      double sum = 0, cos2 = 0, sigma = 0;
-      int count = 0;
-      for (int v = row * prior_block_px; v < std::min((row + 1) * prior_block_px, field.size().height); ++v) {
-        for (int u = column * prior_block_px; u < std::min((column + 1) * prior_block_px, field.size().width); ++u) {
-          if (!field.object(u, v)) continue;
-          sum += field.x_prior(u, v);
-          sigma += field.prior_sigma(u, v);
-          cos2 += 1 / (1 + central_slopes(field, u, v).squaredNorm());
-          ++count;
-        }
-      }
-      if (count == 0) continue;
-      const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
-      field.block_mean(column, row) = static_cast<float>(sum / count);
-      // A cloud's points are uncertain across the surface; their depth is more uncertain by 1 / cos(zenith).
-      field.block_weight(column, row) =
-          static_cast<float>(fill * square(block_weight(sigma / count, options)) * std::max(cos2 / count, 0.02));
-    }
+  parallel_pixels(context, blocks, [&](int column, int row) {
+    double sum = 0, cos2 = 0, sigma = 0;
+    int count = 0;
+    for_each_pixel(cell_rect(column, row, prior_block_px, field.size()), field.object, [&](int u, int v) {
+      sum += field.x_prior(u, v);
+      sigma += field.prior_sigma(u, v);
+      cos2 += 1 / (1 + central_slopes(field, u, v).tan2());
+      ++count;
+    });
+    if (count == 0) return;
+    const double fill = static_cast<double>(count) / (prior_block_px * prior_block_px);
+    field.block_mean(column, row) = static_cast<float>(sum / count);
+    // A cloud's points are uncertain across the surface; their depth is more uncertain by 1 / cos(zenith).
+    field.block_weight(column, row) =
+        static_cast<float>(fill * square(block_weight(sigma / count, options)) * std::max(cos2 / count, 0.02));
   });
 }
 
@@ -177,13 +167,17 @@ double ResidualSummary::albedo_weight(const WeightOptions& options) {
   return square(options.albedo_weight * std::clamp(textured / std::max(spread, 1e-6), 1.0, most));
 }
 
-double stokes_weight(const RefinementField& field, int u, int v) {
+double squared_residual(const RefinementField& field, int u, int v) {
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return 0;
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-  const double misfit = precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
-  return field.regional_weight(u, v) / (1 + misfit / square(field.robust_scale_at(u, v)));
+  const Slopes slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
+  return precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v)));
+}
+
+double stokes_weight(const RefinementField& field, int u, int v) {
+  if (field.stokes_precision(u, v) <= 0) return 0;
+  return field.regional_weight(u, v) / (1 + squared_residual(field, u, v) / square(field.robust_scale_at(u, v)));
 }
 
 }  // namespace malus

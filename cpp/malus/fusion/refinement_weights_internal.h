@@ -2,20 +2,13 @@
 
 #include "malus/core/context.h"
 #include "malus/fusion/refinement_image_internal.h"
+#include "malus/options/fusion_options.h"
 
 namespace malus {
 
-/// Options for the residuals' weights; see RefineOptions for their meaning.
-struct WeightOptions {
-  double robust_scale = 2.5;
+/// Options for the residuals' weights: those of the refinement, and of one round.
+struct WeightOptions : RefineOptions {
   double specular_widening = 1;  ///< factor on robust_scale in specular regions
-  double relative_error = 0.002;
-  double slope_error = 0.03;
-  double prior_weight = 5;
-  double good_prior_weight = 12;
-  double prior_robust_gsd = 2;
-  double albedo_weight = 10;
-  double albedo_contrast = 0.04;
   double regional_sigma_px = 0;  ///< 0 = no regional down-weighting
 };
 
@@ -55,6 +48,10 @@ class ResidualSummary {
   double cost_ = 0, count_ = 0;
   std::vector<float> squared_, albedo_steps_;
 };
+
+/// Squared residual of a pixel's (s1, s2) at the current surface, in units of their variance; 0 where polarization is
+/// not used.
+double squared_residual(const RefinementField& field, int u, int v);
 
 /// Weight, 0 … 1, that the robust loss leaves to a pixel's Stokes residuals at the current surface; 0 where
 /// polarization is not used.

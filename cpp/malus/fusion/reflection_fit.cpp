@@ -85,6 +85,20 @@ Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::Ve
   return solution;
 }
 
+/// Mean of ln(1 + r² / 4) over squared residuals.
+double mean_cost(const std::vector<double>& squares) {
+  double cost = 0;
+  for (const double square : squares) cost += std::log1p(square / 4);
+  return cost / static_cast<double>(std::max<std::size_t>(squares.size(), 1));
+}
+
+/// Sets robust weights by the squared residuals of two components; returns their scale, at least 1.
+double reweigh(const std::vector<double>& squares, std::vector<double>& weights) {
+  const double scale = std::max(median(squares) / 1.4, 1.0);
+  for (std::size_t i = 0; i < squares.size(); ++i) weights[i] = 1 / (1 + squares[i] / (4 * scale));
+  return scale;
+}
+
 LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::vector<Eigen::Vector2d>* lobe) {
   const Eigen::Index unknowns = node_count + (lobe != nullptr ? 1 : 0);
   std::vector<double> weights(samples.size(), 1.0), squares(samples.size());
@@ -120,7 +134,6 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
     normal.triangularView<Eigen::StrictlyLower>() = normal.transpose();
     normal.diagonal().array() += 1e-12;
     fit.values = solve_nonnegative(normal, rhs);
-    fit.cost = 0;
     for (std::size_t i = 0; i < samples.size(); ++i) {
       const LinearizedSample& s = samples[i];
       const double e =
@@ -128,11 +141,9 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
       Eigen::Vector2d residual = s.base - e * s.environment;
       if (lobe != nullptr) residual -= fit.values[node_count] * (*lobe)[i];
       squares[i] = residual.squaredNorm();
-      fit.cost += std::log1p(squares[i] / 4);
     }
-    fit.cost /= static_cast<double>(std::max<std::size_t>(samples.size(), 1));
-    fit.scale = std::max(median(squares) / 1.4, 1.0);
-    for (std::size_t i = 0; i < samples.size(); ++i) weights[i] = 1 / (1 + squares[i] / (4 * fit.scale));
+    fit.cost = mean_cost(squares);
+    fit.scale = reweigh(squares, weights);
   }
   fit.sigma = (normal.inverse().diagonal() * fit.scale).cwiseMax(0).cwiseSqrt();
   return fit;
@@ -331,33 +342,24 @@ std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
 
 }  // namespace
 
-ReflectionSample sample_of(const PixelData& pixel, const Eigen::Vector2d& slopes, const RayFrame& frame) {
+ReflectionSample sample_of(const PixelData& pixel, const Slopes& slopes, const RayFrame& frame) {
   const double s0 = pixel.s0;
-  return {slopes[0], slopes[1], s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
+  return {slopes.p, slopes.q, s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
           frame};
 }
 
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
                                               std::size_t largest_count) {
-  const auto takes_part = [&](std::size_t i) {
-    return image.usable[i] && image.kind[i] == static_cast<std::uint8_t>(kind);
-  };
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < image.usable.count(); ++i) count += takes_part(i);
-  const double share = static_cast<double>(largest_count) / static_cast<double>(std::max<std::size_t>(count, 1));
   constexpr double largest_tan2 = 6;  // steeper slopes, at the rim, are too uncertain
+  Mask of_kind(image.size());
+  for (std::size_t i = 0; i < of_kind.count(); ++i) of_kind[i] = image.usable[i] && image.kind[i] == kind ? 255 : 0;
   std::vector<ReflectionSample> samples;
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const std::size_t i =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!takes_part(i) || !is_chosen(i, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      if (slopes.squaredNorm() > largest_tan2) continue;
-      samples.push_back(sample_of(image.source->at(u, v), slopes, image.frame_at(u, v)));
-      samples.back().other_finish = image.has_other_finish(u, v);
-    }
-  }
+  for_each_chosen(of_kind, static_cast<double>(largest_count), [&](int u, int v) {
+    const Slopes slopes = central_slopes(image, u, v);
+    if (slopes.tan2() > largest_tan2) return;
+    samples.push_back(sample_of(image.source(u, v), slopes, image.frame_at(u, v)));
+    samples.back().other_finish = image.has_other_finish(u, v);
+  });
   return samples;
 }
 
@@ -370,7 +372,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     rows(i, 0) = 1;
-    rows.row(i).tail<3>() = normal_of(s.frame, s.p, s.q).transpose();
+    rows.row(i).tail<3>() = s.frame.normal({s.p, s.q}).transpose();
     values[i] = s.s0;
   }
   shading.harmonics.head<4>() = robust_fit(rows, values);
@@ -387,7 +389,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   Eigen::VectorXd values(count);
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
-    rows.row(i) = shading_basis(normal_of(s.frame, s.p, s.q)).transpose();
+    rows.row(i) = shading_basis(s.frame.normal({s.p, s.q})).transpose();
     const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
     values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
   }
@@ -469,14 +471,9 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
       rhs += weights[i] * column[i].dot(offset[i]);
     }
     body = rhs / std::max(normal, 1e-300);
-    fit.cost = 0;
-    for (std::size_t i = 0; i < count; ++i) {
-      squares[i] = (offset[i] - body * column[i]).squaredNorm();
-      fit.cost += std::log1p(squares[i] / 4);
-    }
-    fit.cost /= static_cast<double>(count);
-    scale = std::max(median(squares) / 1.4, 1.0);
-    for (std::size_t i = 0; i < count; ++i) weights[i] = 1 / (1 + squares[i] / (4 * scale));
+    for (std::size_t i = 0; i < count; ++i) squares[i] = (offset[i] - body * column[i]).squaredNorm();
+    fit.cost = mean_cost(squares);
+    scale = reweigh(squares, weights);
   }
   fit.body_sigma = std::sqrt(scale / std::max(normal, 1e-300));
   body = std::max(body, 0.0);

@@ -21,7 +21,7 @@ struct ReflectionSample {
 };
 
 /// A pixel at these slopes.
-ReflectionSample sample_of(const PixelData& pixel, const Eigen::Vector2d& slopes, const RayFrame& frame);
+ReflectionSample sample_of(const PixelData& pixel, const Slopes& slopes, const RayFrame& frame);
 
 /// Usable pixels of one kind of reflection at the current slopes, thinned evenly to at most about `largest_count`.
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind, std::size_t largest_count);

@@ -17,35 +17,33 @@ struct Evidence {
 Evidence collect_evidence(const RefinementField& field, const Context& context) {
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   Evidence evidence{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v) || !field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const double p = slopes[0], q = slopes[1], tan2 = p * p + q * q;
-      const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
-      evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
-      evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;
-    }
+  parallel_pixels(context, field.size(), [&](int u, int v) {
+    if (!field.object(u, v) || !field.usable(u, v)) return;
+    const Slopes slopes = central_slopes(field, u, v);
+    const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
+    const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
+    evidence.weight(u, v) = static_cast<float>(tan2 / (1 + tan2));
+    evidence.specular(u, v) = radial < 0 ? evidence.weight(u, v) : 0.0f;
   });
   return evidence;
 }
 
-/// Kind supported by nearly all evidence around a pixel, given the share of specular evidence; 0 = neither.
-std::uint8_t clear_kind(float specular_share) {
+/// Kind supported by nearly all evidence around a pixel, given the share of specular evidence; `outside` = neither.
+Reflection clear_kind(float specular_share) {
   constexpr double clear = 0.9;
-  if (specular_share > clear) return static_cast<std::uint8_t>(Reflection::specular);
-  return specular_share < 1 - clear ? static_cast<std::uint8_t>(Reflection::diffuse) : 0;
+  if (specular_share > clear) return Reflection::specular;
+  return specular_share < 1 - clear ? Reflection::diffuse : Reflection::outside;
 }
 
 }  // namespace
 
-double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context) {
+void label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context) {
   // Highlights, shadows and noise look like the other kind in places; a different material does so over a whole region.
   constexpr double pooling_px = 20;
   constexpr int reach_px = 64;  // reach of the pooling, in whole prior blocks
   constexpr std::size_t smallest_region_px = 4000;
   double specular = 0, all = 0;
-  Image<std::uint8_t> clear(image.size());
+  Image<Reflection> clear(image.size());
   for (const RowRange& rows : strips) {
     const StripField strip = strip_field(image, rows, reach_px, context);
     const RefinementField& field = strip.field;
@@ -63,10 +61,9 @@ double label_reflection(RefinementImage& image, const std::vector<RowRange>& str
       }
     }
   }
-  const double share = all > 0 ? specular / all : 0;
-  const bool mostly_specular = share > 0.5;
-  const auto usual = static_cast<std::uint8_t>(mostly_specular ? Reflection::specular : Reflection::diffuse);
-  const auto other = static_cast<std::uint8_t>(mostly_specular ? Reflection::diffuse : Reflection::specular);
+  const bool mostly_specular = specular > 0.5 * all;
+  const Reflection usual = mostly_specular ? Reflection::specular : Reflection::diffuse;
+  const Reflection other = mostly_specular ? Reflection::diffuse : Reflection::specular;
   image.kind.fill(usual);
   Mask opposite(image.size());
   for (std::size_t i = 0; i < opposite.count(); ++i) opposite[i] = clear[i] == other ? 255 : 0;
@@ -74,7 +71,6 @@ double label_reflection(RefinementImage& image, const std::vector<RowRange>& str
     if (region.size() < smallest_region_px) continue;
     for (const std::size_t pixel : region) image.kind[pixel] = other;
   }
-  return share;
 }
 
 double specular_share(const RefinementImage& image) {
@@ -82,7 +78,7 @@ double specular_share(const RefinementImage& image) {
   for (std::size_t i = 0; i < image.pixels.count(); ++i) {
     if (!image.pixels[i]) continue;
     ++all;
-    specular += image.kind[i] == static_cast<std::uint8_t>(Reflection::specular);
+    specular += image.kind[i] == Reflection::specular;
   }
   return specular / all;
 }

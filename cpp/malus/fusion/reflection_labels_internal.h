@@ -9,8 +9,8 @@ namespace malus {
 /// sign of the Stokes component along the azimuth of its normal: positive for light from inside the body, negative for
 /// a mirror image; its weight is sin²(zenith). The kind that prevails over the object is set everywhere except in large
 /// regions with clear evidence for the other kind. Processes the strips of rows, which cover the image, one after the
-/// other. Returns the share of specular evidence over the whole object.
-double label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context);
+/// other.
+void label_reflection(RefinementImage& image, const std::vector<RowRange>& strips, const Context& context);
 
 /// Share of object pixels labeled specular.
 double specular_share(const RefinementImage& image);

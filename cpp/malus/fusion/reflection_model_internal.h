@@ -7,7 +7,7 @@
 #include <numbers>
 #include <string_view>
 
-#include "malus/fusion/ray_slopes_internal.h"
+#include "malus/polarization/ray_frame.h"
 #include "malus/polarization/reflection.h"
 
 namespace malus {

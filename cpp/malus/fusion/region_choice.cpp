@@ -21,41 +21,22 @@ double cauchy(double squared, double scale) {
   return square(scale) * std::log1p(squared / square(scale));
 }
 
-double stokes_cost(const RefinementField& field, int u, int v) {
-  const double precision = field.stokes_precision(u, v);
-  if (precision <= 0) return 0;
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
-  return cauchy(precision * (square(m.s1 - field.s1(u, v)) + square(m.s2 - field.s2(u, v))),
-                field.robust_scale_at(u, v));
-}
-
 /// Adds to every pixel its share of its prior block's cost.
 void add_prior_costs(const RefinementField& field, const WeightOptions& options, Image<float>& costs) {
-  for (int row = 0; row < field.block_count().height; ++row) {
-    for (int column = 0; column < field.block_count().width; ++column) {
-      if (field.block_weight(column, row) <= 0) continue;
-      const int u0 = column * prior_block_px, u1 = std::min(u0 + prior_block_px, field.size().width);
-      const int v0 = row * prior_block_px, v1 = std::min(v0 + prior_block_px, field.size().height);
-      double sum = 0;
-      int count = 0;
-      for (int v = v0; v < v1; ++v) {
-        for (int u = u0; u < u1; ++u) {
-          if (!field.object(u, v)) continue;
-          sum += field.x(u, v);
-          ++count;
-        }
-      }
-      const double squared = square(sum / count - field.block_mean(column, row));
-      const auto share =
-          static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
-      for (int v = v0; v < v1; ++v) {
-        for (int u = u0; u < u1; ++u) {
-          if (field.object(u, v)) costs(u, v) += share;
-        }
-      }
-    }
-  }
+  for_each_pixel(field.block_count(), [&](int column, int row) {
+    if (field.block_weight(column, row) <= 0) return;
+    const PixelRect block = cell_rect(column, row, prior_block_px, field.size());
+    double sum = 0;
+    int count = 0;
+    for_each_pixel(block, field.object, [&](int u, int v) {
+      sum += field.x(u, v);
+      ++count;
+    });
+    const double squared = square(sum / count - field.block_mean(column, row));
+    const auto share =
+        static_cast<float>(field.block_weight(column, row) * cauchy(squared, options.prior_robust_gsd) / count);
+    for_each_pixel(block, field.object, [&](int u, int v) { costs(u, v) += share; });
+  });
 }
 
 /// Object pixels within `radius` (4-neighborhood steps) of the set pixels.
@@ -63,14 +44,11 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
   Mask result = mask;
   for (int step = 0; step < radius; ++step) {
     const Mask before = result;
-    for (int v = 0; v < mask.height(); ++v) {
-      for (int u = 0; u < mask.width(); ++u) {
-        if (before(u, v) || !object(u, v)) continue;
-        const bool near = (u > 0 && before(u - 1, v)) || (v > 0 && before(u, v - 1)) ||
-                          (u + 1 < mask.width() && before(u + 1, v)) || (v + 1 < mask.height() && before(u, v + 1));
-        if (near) result(u, v) = 255;
-      }
-    }
+    for_each_pixel(mask.size(), [&](int u, int v) {
+      if (before(u, v) || !object(u, v)) return;
+      const auto is_set = [&](int i, int j) { return before.contains(i, j) && before(i, j) != 0; };
+      if (is_set(u - 1, v) || is_set(u, v - 1) || is_set(u + 1, v) || is_set(u, v + 1)) result(u, v) = 255;
+    });
   }
   return result;
 }
@@ -79,20 +57,16 @@ Mask grown(const Mask& mask, const Mask& object, int radius) {
 /// in over 3 pixels.
 void move_region(const PixelSet& region, const Image<double>& difference, const Mask& object,
                  Image<int>& depth_in_region, Image<double>& x) {
-  const int width = object.width(), height = object.height();
-  const auto at = [&](std::size_t pixel) {
-    return std::pair{static_cast<int>(pixel % static_cast<std::size_t>(width)),
-                     static_cast<int>(pixel / static_cast<std::size_t>(width))};
-  };
+  const auto width = static_cast<std::size_t>(object.width());
   for (const std::size_t pixel : region) depth_in_region[pixel] = grow_px;
   std::vector<double> ring;
   for (int layer = 1; layer < grow_px; ++layer) {
     for (const std::size_t pixel : region) {
       if (depth_in_region[pixel] < layer) continue;
-      const auto [u, v] = at(pixel);
+      const int u = static_cast<int>(pixel % width), v = static_cast<int>(pixel / width);
       for (const auto& [du, dv] : {std::pair{1, 0}, {-1, 0}, {0, 1}, {0, -1}}) {
         const int nu = u + du, nv = v + dv;
-        if (nu < 0 || nv < 0 || nu >= width || nv >= height || !object(nu, nv)) continue;
+        if (!object.contains(nu, nv) || !object(nu, nv)) continue;
         if (depth_in_region(nu, nv) == layer - 1) depth_in_region[pixel] = std::min(depth_in_region[pixel], layer);
         if (layer == 1 && depth_in_region(nu, nv) == 0) ring.push_back(difference(nu, nv));
       }
@@ -109,10 +83,8 @@ void move_region(const PixelSet& region, const Image<double>& difference, const 
 
 Image<float> pixel_costs(const RefinementField& field, const WeightOptions& options, const Context& context) {
   Image<float> costs(field.size());
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (field.object(u, v)) costs(u, v) = static_cast<float>(stokes_cost(field, u, v));
-    }
+  parallel_pixels(context, field.object, [&](int u, int v) {
+    costs(u, v) = static_cast<float>(cauchy(squared_residual(field, u, v), field.robust_scale_at(u, v)));
   });
   add_prior_costs(field, options, costs);
   return costs;

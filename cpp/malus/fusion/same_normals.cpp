@@ -25,23 +25,16 @@ double distance_of_same_normals(const RefinementImage& image) {
     std::vector<double> u, v;
   };
   constexpr double per_unit = 0.5 * Surroundings::cells, most_pixels = 4e5;
-  const double share = share_of_set(image.usable, most_pixels);
   Image<Places> cells({Surroundings::cells, Surroundings::cells});
-  for (int v = 0; v < image.size().height; ++v) {
-    for (int u = 0; u < image.size().width; ++u) {
-      const auto pixel =
-          static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size().width) + static_cast<std::size_t>(u);
-      if (!image.pixels(u, v) || !image.usable(u, v) || !is_chosen(pixel, share)) continue;
-      const Eigen::Vector2d slopes = central_slopes(image, u, v);
-      const Eigen::Vector3d normal = normal_of(image.frame_at(u, v), slopes[0], slopes[1]);
-      const auto cell = [](double component) {
-        return std::clamp(static_cast<int>((component + 1) * per_unit), 0, Surroundings::cells - 1);
-      };
-      Places& places = cells(cell(normal.x()), cell(normal.y()));
-      places.u.push_back(u);
-      places.v.push_back(v);
-    }
-  }
+  for_each_chosen(image.usable, most_pixels, [&](int u, int v) {
+    const Eigen::Vector3d normal = image.frame_at(u, v).normal(central_slopes(image, u, v));
+    const auto cell = [](double component) {
+      return std::clamp(static_cast<int>((component + 1) * per_unit), 0, Surroundings::cells - 1);
+    };
+    Places& places = cells(cell(normal.x()), cell(normal.y()));
+    places.u.push_back(u);
+    places.v.push_back(v);
+  });
   double sum = 0, count = 0;
   for (const Places& places : cells) {
     if (places.u.empty()) continue;

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
@@ -13,12 +14,8 @@ namespace {
 /// Depth of the pixels' centers, NaN outside the object.
 Image<double> pixel_depths(const RefinementImage& image, const Context& context) {
   Image<double> depths(image.size(), 1, std::numeric_limits<double>::quiet_NaN());
-  parallel_rows(context, depths.height(), [&](int v) {
-    for (int u = 0; u < depths.width(); ++u) {
-      if (!image.pixels(u, v)) continue;
-      depths(u, v) =
-          image.depth_of((image.x(u, v) + image.x(u + 1, v) + image.x(u, v + 1) + image.x(u + 1, v + 1)) / 4);
-    }
+  parallel_pixels(context, image.pixels, [&](int u, int v) {
+    depths(u, v) = image.depth_of((image.x(u, v) + image.x(u + 1, v) + image.x(u, v + 1) + image.x(u + 1, v + 1)) / 4);
   });
   return depths;
 }
@@ -30,11 +27,11 @@ bool mirrors_itself(const RefinementImage& image, const Image<double>& depths, d
   constexpr double start = 1.5, step = 0.8, lift = 0.5, clear = 0.3;
   constexpr double growth = 0.03, farthest = 2, thickness = 0.35;
   const Pinhole& camera = image.camera;
-  const Eigen::Vector2d slopes = central_slopes(image, u, v);
+  const Slopes slopes = central_slopes(image, u, v);
   const RayFrame frame = image.frame_at(u, v);
-  const Eigen::Vector3d normal = normal_of(frame, slopes[0], slopes[1]);
+  const Eigen::Vector3d normal = frame.normal(slopes);
   const Eigen::Vector3d light = 2 * normal.dot(frame.view) * normal - frame.view;
-  const double gsd = depths(u, v) / image.focal;
+  const double gsd = depths(u, v) / camera.focal();
   const Eigen::Vector3d origin = camera.ray(u, v) * depths(u, v) + lift * gsd * normal;
   for (double way = start; way < farthest * side; way += std::max(step, growth * way)) {
     const Eigen::Vector3d at = origin + way * gsd * light;
@@ -57,18 +54,13 @@ Mask self_mirroring_pixels(const RefinementImage& image, const Context& context)
   if (std::max(image.size().width, image.size().height) >= 2 * fine_enough_px &&
       std::max(object.width(), object.height()) >= fine_enough_px) {
     const Mask coarse = self_mirroring_pixels(coarsened(image, context), context);
-    parallel_rows(context, pixels.height(), [&](int v) {
-      for (int u = 0; u < pixels.width(); ++u) pixels(u, v) = image.pixels(u, v) ? coarse(u / 2, v / 2) : 0;
-    });
+    parallel_pixels(context, image.pixels, [&](int u, int v) { pixels(u, v) = coarse(u / 2, v / 2); });
     return pixels;
   }
   const Image<double> depths = pixel_depths(image, context);
-  const double side = std::sqrt(
-      static_cast<double>(std::count_if(image.pixels.begin(), image.pixels.end(), [](auto m) { return m != 0; })));
-  parallel_rows(context, pixels.height(), [&](int v) {
-    for (int u = 0; u < pixels.width(); ++u) {
-      if (image.pixels(u, v) && mirrors_itself(image, depths, side, u, v)) pixels(u, v) = 255;
-    }
+  const double side = side_of_set(image.pixels);
+  parallel_pixels(context, pixels.size(), [&](int u, int v) {
+    if (image.pixels(u, v) && mirrors_itself(image, depths, side, u, v)) pixels(u, v) = 255;
   });
   return pixels;
 }

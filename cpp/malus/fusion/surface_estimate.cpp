@@ -27,18 +27,15 @@ Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, const Image<dou
   return {along(1, 0), along(0, 1)};
 }
 
-Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v) {
-  return central_gradient(surface, surface.x, u, v);
-}
-
-Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v) {
+Slopes central_slopes(const SurfaceEstimate& surface, int u, int v) {
   return central_slopes(surface, surface.x, u, v);
 }
 
-Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v) {
-  const RaySlopes slopes = surface.slopes_at(u, v);
+Slopes central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v) {
   const Eigen::Vector2d gradient = central_gradient(surface, x, u, v);
-  return {slopes.p(gradient[0], gradient[1]), slopes.q(gradient[0], gradient[1])};
+  const Pinhole& camera = surface.camera;
+  const AffineSlopes slopes = slopes_of_log_depth(camera, surface.frame_at(u, v), u, v, camera.focal());
+  return slopes(gradient[0], gradient[1]);
 }
 
 }  // namespace malus

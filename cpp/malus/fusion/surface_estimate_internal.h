@@ -6,9 +6,9 @@
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
 #include "malus/core/pixel_rect_internal.h"
-#include "malus/fusion/ray_slopes_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/shading_internal.h"
+#include "malus/polarization/ray_frame.h"
 
 namespace malus {
 
@@ -19,39 +19,31 @@ namespace malus {
 /// the pixels along each axis; the last column and row have nodes only.
 struct SurfaceEstimate {
   Pinhole camera;
-  double focal = 1;
   double log_depth_origin = 0;
   Mask object;  ///< corner nodes of the object's pixels
   Mask usable;  ///< pixels whose polarization may be used; all their nodes exist
   Image<double> x;
-  Image<std::uint8_t> kind;  ///< Reflection
-  Mask other_finish;         ///< pixels with the finish of `reflection.mirrored_by_other`; empty = none
+  Image<Reflection> kind;
+  Mask other_finish;  ///< pixels with the finish of `reflection.mirrored_by_other`; empty = none
   ReflectionModel reflection;
   ShadingHarmonics shading = ShadingHarmonics::Unit(0);  ///< body light / albedo = shading · basis(n)
 
   Size size() const { return object.size(); }
   PixelRect everything() const { return {0, 0, size().width, size().height}; }
   bool is_object(int u, int v) const { return object.contains(u, v) && object(u, v) != 0; }
-  Reflection kind_at(int u, int v) const { return static_cast<Reflection>(kind(u, v)); }
   bool has_other_finish(int u, int v) const { return !other_finish.empty() && other_finish(u, v) != 0; }
-  RaySlopes slopes_at(int u, int v) const { return ray_slopes(camera, u, v); }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
-  double depth_of(double value) const { return std::exp(value / focal + log_depth_origin); }
+  double depth_of(double value) const { return std::exp(value / camera.focal() + log_depth_origin); }
 };
 
 /// Corner nodes of pixels; both masks have the nodes' raster.
 Mask nodes_of(const Mask& pixels);
 
-/// Gradient of x in a pixel from its four nodes, as far as they exist.
-Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, int u, int v);
+/// Gradient of the depths `x` in a pixel from its four nodes, as far as they exist.
+Eigen::Vector2d central_gradient(const SurfaceEstimate& surface, const Image<double>& x, int u, int v);
 
-/// Slopes (p, q) at the center of a pixel, of the current surface or of another one with depths `x`.
-Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, int u, int v);
-Eigen::Vector2d central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v);
-
-/// Unit normal of slopes (p, q) in a ray's frame, in the camera frame.
-inline Eigen::Vector3d normal_of(const RayFrame& frame, double p, double q) {
-  return (p * frame.right + q * frame.up + frame.view) / std::sqrt(1 + p * p + q * q);
-}
+/// Slopes at the center of a pixel, of the current surface or of another one with depths `x`.
+Slopes central_slopes(const SurfaceEstimate& surface, int u, int v);
+Slopes central_slopes(const SurfaceEstimate& surface, const Image<double>& x, int u, int v);
 
 }  // namespace malus

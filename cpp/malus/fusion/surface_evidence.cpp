@@ -11,15 +11,10 @@
 namespace malus {
 namespace {
 
-Size cells_over(Size image, int cell_px) {
-  return {(image.width + cell_px - 1) / cell_px, (image.height + cell_px - 1) / cell_px};
-}
-
 /// Weighted Gaussian mean of cells; 0 where no cell with weight is near.
 Image<float> pooled(const Image<float>& values, const Image<float>& weights, double sigma_cells,
                     const Context& context) {
-  Mask all(values.size());
-  all.fill(255);
+  const Mask all(values.size(), 1, 255);
   Image<float> products(values.size());
   for (std::size_t i = 0; i < values.count(); ++i) products[i] = weights[i] * values[i];
   Image<float> means = masked_blur(products, all, sigma_cells, context);
@@ -36,31 +31,23 @@ ExplainedPolarization::ExplainedPolarization(Size image, const Eigen::Vector3d& 
     : cells_(cells_over(image, cell_px)), mean_normal_(mean_normal) {}
 
 void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
-  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * cell_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
-    for (int v = begin; v < end; ++v) {
-      for (int u = 0; u < part.size().width; ++u) {
-        if (!part.object(u, v) || !part.usable(u, v)) continue;
-        const Eigen::Vector2d slopes = central_slopes(part, u, v);
-        const RayFrame frame = part.frame_at(u, v);
-        const PixelReflection reflection = part.reflection_at(u, v, frame);
-        const PredictedStokes model = reflection.predict(slopes[0], slopes[1]);
-        const Slopes flat = frame.slopes(mean_normal_);
-        const PredictedStokes plane = reflection.predict(flat.p, flat.q);
-        Cell& cell = cells_(u / cell_px, row);
-        cell.s1 += part.s1(u, v);
-        cell.s2 += part.s2(u, v);
-        cell.model_s1 += model.s1;
-        cell.model_s2 += model.s2;
-        cell.plane_s1 += plane.s1;
-        cell.plane_s2 += plane.s2;
-        ++cell.pixels;
-      }
-    }
-  });
+  const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
+    Cell& cell = cells_(column, row);
+    for_each_pixel(pixels, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const Slopes slopes = central_slopes(part, u, v);
+      const RayFrame frame = part.frame_at(u, v);
+      const PixelReflection reflection = part.reflection_at(u, v, frame);
+      const PredictedStokes model = reflection.predict(slopes.p, slopes.q);
+      const Slopes flat = frame.slopes(mean_normal_);
+      const PredictedStokes plane = reflection.predict(flat.p, flat.q);
+      cell.measured += Eigen::Vector2d(part.s1(u, v), part.s2(u, v));
+      cell.model += Eigen::Vector2d(model.s1, model.s2);
+      cell.plane += Eigen::Vector2d(plane.s1, plane.s2);
+      ++cell.pixels;
+    });
+  };
+  for_each_cell(cell_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& context) const {
@@ -69,9 +56,8 @@ Image<float> ExplainedPolarization::shares(bool beyond_a_plane, const Context& c
   Image<float> shares(cells_.size()), weights(cells_.size());
   for (std::size_t i = 0; i < cells_.count(); ++i) {
     const Cell& cell = cells_[i];
-    const double rest = std::pow(cell.s1 - cell.model_s1, 2) + std::pow(cell.s2 - cell.model_s2, 2);
-    const double known = beyond_a_plane ? 1 : 0;
-    const double all = std::pow(cell.s1 - known * cell.plane_s1, 2) + std::pow(cell.s2 - known * cell.plane_s2, 2);
+    const double rest = (cell.measured - cell.model).squaredNorm(), known = beyond_a_plane ? 1 : 0;
+    const double all = (cell.measured - known * cell.plane).squaredNorm();
     if (cell.pixels < fewest || rest + all <= 0) continue;
     shares[i] = static_cast<float>(1 - 2 * rest / (rest + all));
     weights[i] = static_cast<float>(cell.pixels) / full;
@@ -85,33 +71,24 @@ ExplainedByResult::ExplainedByResult(Size image)
 void ExplainedByResult::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   constexpr int cell_px = ExplainedPolarization::cell_px;
   constexpr std::size_t fewest = 20;
-  const int first_cell = (first_row + rows.begin) / cell_px, last_cell = (first_row + rows.end - 1) / cell_px;
-  parallel_rows(context, last_cell - first_cell + 1, [&](int i) {
-    const int row = first_cell + i;
-    const int begin = std::max(row * cell_px - first_row, rows.begin);
-    const int end = std::min((row + 1) * cell_px - first_row, rows.end);
+  const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
     std::vector<double> rests, all;
-    for (int column = 0; column < shares_.width(); ++column) {
-      rests.clear();
-      all.clear();
-      for (int v = begin; v < end; ++v) {
-        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, part.size().width); ++u) {
-          if (!part.object(u, v) || !part.usable(u, v)) continue;
-          const Eigen::Vector2d slopes = central_slopes(part, u, v);
-          const PredictedStokes model = part.reflection_at(u, v).predict(slopes[0], slopes[1]);
-          rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
-          all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
-        }
-      }
-      if (rests.size() < fewest) continue;
-      const auto share = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
-      // Two parts can share a row of cells: each of them then counts by its pixels.
-      const float before = pixels_(column, row), here = static_cast<float>(rests.size());
-      float& mean = shares_(column, row);
-      mean = before > 0 ? (before * mean + here * share) / (before + here) : share;
-      pixels_(column, row) = before + here;
-    }
-  });
+    for_each_pixel(pixels, part.usable, [&](int u, int v) {
+      if (!part.object(u, v)) return;
+      const Slopes slopes = central_slopes(part, u, v);
+      const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
+      rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));
+      all.push_back(std::hypot(part.s1(u, v), part.s2(u, v)));
+    });
+    if (rests.size() < fewest) return;
+    const auto share = static_cast<float>(1 - median_in_place(rests) / std::max(median_in_place(all), 1e-12));
+    // Two parts can share a row of cells: each of them then counts by its pixels.
+    const float before = pixels_(column, row), here = static_cast<float>(rests.size());
+    float& mean = shares_(column, row);
+    mean = before > 0 ? (before * mean + here * share) / (before + here) : share;
+    pixels_(column, row) = before + here;
+  };
+  for_each_cell(cell_px, part.size().width, rows, first_row, context, add_cell);
 }
 
 Image<float> ExplainedByResult::shares(const Context& context) const {
@@ -129,29 +106,20 @@ void anchor_to_prior(RefinementImage& image, const Image<double>& x_prior, doubl
   const double rest2 = square(std::max(length_px, static_cast<double>(cell_px))) - 0.25 * square(cell_px);
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> lack(count), weights(count);
-  parallel_rows(context, count.height, [&](int row) {
-    for (int column = 0; column < count.width; ++column) {
-      double sum = 0, variance = 0;
-      int nodes = 0;
-      for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
-        for (int u = column * cell_px; u < std::min((column + 1) * cell_px, size.width); ++u) {
-          if (!image.object(u, v)) continue;
-          sum += x_prior(u, v) - image.x(u, v);
-          variance += std::pow(image.source->at(u, v).prior_sigma, 2);
-          ++nodes;
-        }
-      }
-      if (nodes == 0) continue;
-      lack(column, row) = static_cast<float>(sum / nodes);
-      weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
-    }
+  parallel_pixels(context, count, [&](int column, int row) {
+    double sum = 0, variance = 0;
+    int nodes = 0;
+    for_each_pixel(cell_rect(column, row, cell_px, size), image.object, [&](int u, int v) {
+      sum += x_prior(u, v) - image.x(u, v);
+      variance += std::pow(image.source(u, v).prior_sigma, 2);
+      ++nodes;
+    });
+    if (nodes == 0) return;
+    lack(column, row) = static_cast<float>(sum / nodes);
+    weights(column, row) = static_cast<float>(nodes / std::max(variance / nodes, 1e-12));
   });
   const Image<float> low = pooled(lack, weights, std::sqrt(rest2) / cell_px, context);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      if (image.object(u, v)) image.x(u, v) += between_cells(low, cell_px, u, v);
-    }
-  });
+  parallel_pixels(context, image.object, [&](int u, int v) { image.x(u, v) += between_cells(low, cell_px, u, v); });
 }
 
 Image<float> deviations_from_prior(const RefinementImage& image, const Image<double>& x_prior, const Context& context) {
@@ -159,15 +127,12 @@ Image<float> deviations_from_prior(const RefinementImage& image, const Image<dou
   constexpr double pool_cells = 0.5;
   const Size size = image.size(), count = cells_over(size, cell_px);
   Image<float> squares(count), weights(count);
-  parallel_rows(context, count.height, [&](int row) {
-    for (int v = row * cell_px; v < std::min((row + 1) * cell_px, size.height); ++v) {
-      for (int u = 0; u < size.width; ++u) {
-        if (!image.object(u, v)) continue;
-        const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source->at(u, v).prior_sigma;
-        squares(u / cell_px, row) += static_cast<float>(square(deviation));
-        weights(u / cell_px, row) += 1;
-      }
-    }
+  parallel_pixels(context, count, [&](int column, int row) {
+    for_each_pixel(cell_rect(column, row, cell_px, size), image.object, [&](int u, int v) {
+      const double deviation = (image.x(u, v) - x_prior(u, v)) / image.source(u, v).prior_sigma;
+      squares(column, row) += static_cast<float>(square(deviation));
+      weights(column, row) += 1;
+    });
   });
   for (std::size_t i = 0; i < squares.count(); ++i) squares[i] /= std::max(weights[i], 1.0F);
   Image<float> deviations = pooled(squares, weights, pool_cells, context);

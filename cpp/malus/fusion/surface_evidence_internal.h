@@ -31,9 +31,8 @@ class ExplainedPolarization {
 
  private:
   struct Cell {
-    double s1 = 0, s2 = 0;              ///< measured, summed
-    double model_s1 = 0, model_s2 = 0;  ///< predicted at the prior's slopes
-    double plane_s1 = 0, plane_s2 = 0;  ///< predicted at the plane's slopes
+    /// Sums of (s1, s2): measured, and predicted at the prior's and at the plane's slopes.
+    Eigen::Vector2d measured = Eigen::Vector2d::Zero(), model = measured, plane = measured;
     int pixels = 0;
   };
   Image<Cell> cells_;

@@ -19,11 +19,11 @@ double slope_variance(const RefinementField& field, int u, int v) {
   constexpr double unknown_slope = 0.5;  // where polarization is not used
   const double precision = field.stokes_precision(u, v);
   if (precision <= 0) return square(unknown_slope);
-  const Eigen::Vector2d slopes = central_slopes(field, u, v);
-  const PredictedStokes m = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+  const Slopes slopes = central_slopes(field, u, v);
+  const PredictedStokes m = field.reflection_at(u, v).predict(slopes.p, slopes.q);
   const double weight = precision * stokes_weight(field, u, v);
   const double steepness = 0.5 * (square(m.s1_by_p) + square(m.s1_by_q) + square(m.s2_by_p) + square(m.s2_by_q));
-  const double stretch = 1 + slopes.squaredNorm();  // of depth over image distance, for the same angle
+  const double stretch = 1 + slopes.tan2();  // of depth over image distance, for the same angle
   return std::min(1 / (weight * steepness + 1e-12), square(unknown_slope)) * stretch;
 }
 
@@ -34,16 +34,14 @@ Curvature curvature_of_prior(const RefinementField& field, const Context& contex
   Curvature curvature;
   for (Image<float>& part : curvature) part = Image<float>(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
   const Image<double>& x = field.x_prior;
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      static constexpr std::array<std::pair<int, int>, 6> needed{{{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}};
-      if (!std::ranges::all_of(needed, [&](auto step) { return field.is_object(u + step.first, v + step.second); }))
-        continue;
-      curvature[0](u, v) = static_cast<float>(x(u + 1, v) + x(u - 1, v) - 2 * x(u, v));
-      curvature[1](u, v) = static_cast<float>(x(u, v + 1) + x(u, v - 1) - 2 * x(u, v));
-      curvature[2](u, v) =
-          static_cast<float>(std::numbers::sqrt2 * (x(u + 1, v + 1) - x(u + 1, v) - x(u, v + 1) + x(u, v)));
-    }
+  parallel_pixels(context, field.size(), [&](int u, int v) {
+    static constexpr std::array<std::pair<int, int>, 6> needed{{{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}};
+    if (!std::ranges::all_of(needed, [&](auto step) { return field.is_object(u + step.first, v + step.second); }))
+      return;
+    curvature[0](u, v) = static_cast<float>(x(u + 1, v) + x(u - 1, v) - 2 * x(u, v));
+    curvature[1](u, v) = static_cast<float>(x(u, v + 1) + x(u, v - 1) - 2 * x(u, v));
+    curvature[2](u, v) =
+        static_cast<float>(std::numbers::sqrt2 * (x(u + 1, v + 1) - x(u + 1, v) - x(u, v + 1) + x(u, v)));
   });
   return curvature;
 }
@@ -66,23 +64,17 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   constexpr double of_smoothing = 0.65;
   const double of_noise = prior.shares_windows ? 1.0 : 0.3;
   Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (field.object(u, v)) variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v)));
-    }
-  });
+  parallel_pixels(context, field.object,
+                  [&](int u, int v) { variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v))); });
   if (prior.smoothing_px <= 0) return variance;
   const double reach =
       std::min(prior.smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
   const Image<float> around = change_of_curvature(field, reach, context);
   const double length4 = square(square(prior.smoothing_px));
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      const double stretch = 1 + central_slopes(field, u, v).squaredNorm();
-      variance(u, v) = static_cast<float>(square(of_noise) * variance(u, v) +
-                                          square(of_smoothing) * length4 * around(u, v) * stretch);
-    }
+  parallel_pixels(context, field.object, [&](int u, int v) {
+    const double stretch = 1 + central_slopes(field, u, v).tan2();
+    variance(u, v) =
+        static_cast<float>(square(of_noise) * variance(u, v) + square(of_smoothing) * length4 * around(u, v) * stretch);
   });
   return variance;
 }
@@ -90,11 +82,9 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
 /// Standard deviation due to the nearness of the contour [GSD]. The image's border is no contour.
 Image<float> contour_sigma(const RefinementField& field, const Context& context) {
   constexpr double near_px = 2, whole_gsd = 10;
-  Mask all(field.size());
-  all.fill(255);
   Image<float> inside(field.size());
   for (std::size_t i = 0; i < inside.count(); ++i) inside[i] = field.object[i] ? 1.0F : 0.0F;
-  Image<float> sigma = masked_blur(inside, all, near_px, context);
+  Image<float> sigma = masked_blur(inside, Mask(field.size(), 1, 255), near_px, context);
   for (float& value : sigma) value = static_cast<float>(whole_gsd * std::max(1.0 - value, 0.0));
   return sigma;
 }
@@ -106,12 +96,9 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double low_frequency_px = surface_sigma_reach_px / 3.0, high_frequency_px = 3;  // blurs end at 3 sigma
   Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      change(u, v) = static_cast<float>(square(field.x(u, v) - field.x_prior(u, v)));
-      slope(u, v) = static_cast<float>(slope_variance(field, u, v));
-    }
+  parallel_pixels(context, field.object, [&](int u, int v) {
+    change(u, v) = static_cast<float>(square(field.x(u, v) - field.x_prior(u, v)));
+    slope(u, v) = static_cast<float>(slope_variance(field, u, v));
   });
   // A metal's slopes follow from its brightness, which is less reliable than polarization under a simple light. With a
   // map of the surroundings, the surface keeps most of the prior's errors.
@@ -121,14 +108,11 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   const Image<float> prior = prior_variance(field, errors, context);
   const Image<float> contour = contour_sigma(field, context);
   Image<float> sigma(field.size(), 1, none);
-  parallel_rows(context, field.size().height, [&](int v) {
-    for (int u = 0; u < field.size().width; ++u) {
-      if (!field.object(u, v)) continue;
-      const double gsd = field.depth_of(field.x(u, v)) / field.focal, share = trust(u, v) / 255.0;
-      const double refined = of_prior * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
-      sigma(u, v) =
-          static_cast<float>(gsd * std::sqrt(share * refined + (1 - share) * prior(u, v) + square(contour(u, v))));
-    }
+  parallel_pixels(context, field.object, [&](int u, int v) {
+    const double gsd = field.depth_of(field.x(u, v)) / field.camera.focal(), share = trust(u, v) / 255.0;
+    const double refined = of_prior * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);
+    sigma(u, v) =
+        static_cast<float>(gsd * std::sqrt(share * refined + (1 - share) * prior(u, v) + square(contour(u, v))));
   });
   return sigma;
 }

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/fusion/finishes_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
@@ -34,16 +35,6 @@ std::vector<Finishes> finishes_near(const Finishes& known) {
   return tried;
 }
 
-/// Share of `pixels` in the usable pixels.
-double share_of(const Mask& pixels, const RefinementImage& image) {
-  double inside = 0, all = 0;
-  for (std::size_t i = 0; i < pixels.count(); ++i) {
-    all += image.usable[i] != 0;
-    inside += image.usable[i] && pixels[i];
-  }
-  return inside / std::max(all, 1.0);
-}
-
 /// Samples that the map is fitted to. With two finishes, first decides which pixels have the other one.
 std::vector<ReflectionSample> samples_of_map(RefinementImage& image, bool two_finishes, const MapCourse& course,
                                              const Context& context) {
@@ -66,7 +57,7 @@ std::optional<SurroundingsFit> fit_both(const Surroundings& surroundings, const 
   image.reflection.mirrored = tabulated(surroundings, tried.front().usual, image, course, context);
   image.reflection.mirrored_by_other = tabulated(surroundings, tried.front().other, image, course, context);
   image.other_finish = pixels_of_other_finish(image, context);
-  if (share_of(image.other_finish, image) < least_share) return std::nullopt;
+  if (share_within(image.other_finish, image.usable) < least_share) return std::nullopt;
   return fit_surroundings(collect_samples(image, Reflection::diffuse, enough_samples), course.material, tried,
                           surroundings.radiance, context);
 }
@@ -87,7 +78,7 @@ void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, Refin
   image.reflection.mirrored = tabulated(found, found.roughness, image, course, context);
   image.reflection.mirrored_by_other =
       found.other_roughness > 0 ? tabulated(found, found.other_roughness, image, course, context) : nullptr;
-  report.other_finish_share = found.other_roughness > 0 ? share_of(image.other_finish, image) : 0;
+  report.other_finish_share = found.other_roughness > 0 ? share_within(image.other_finish, image.usable) : 0;
 }
 
 SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {

@@ -151,9 +151,8 @@ SurroundingsFit fit_surroundings(const std::vector<ReflectionSample>& samples, c
                                  std::span<const Finishes> tried, const Image<float>& start, const Context& context) {
   const Cells cells = Surroundings::all_cells();
   std::vector<SurroundingsFit> fits(tried.size());
-  parallel_for(context, fits.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) fits[i] = fit(samples, cells, tried[i], material, start);
-  });
+  parallel_for(context, fits.size(), 1,
+               [&](std::size_t i, std::size_t) { fits[i] = fit(samples, cells, tried[i], material, start); });
   return *std::min_element(fits.begin(), fits.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
 }
 

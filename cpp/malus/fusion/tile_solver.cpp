@@ -5,7 +5,6 @@
 #include <memory>
 #include <mutex>
 #include <numeric>
-#include <span>
 #include <string>
 
 #include "malus/core/parallel_internal.h"
@@ -18,6 +17,9 @@ namespace malus {
 namespace {
 
 static_assert(tile_ring_px == 2 * quad_px);
+
+/// Change of the slopes from the prior whose weight is halved.
+constexpr double slope_change = 0.1;
 
 /// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
 std::vector<int> borders(int length, int largest) {
@@ -39,12 +41,11 @@ class TileProblem {
       : field_(field),
         tile_(tile),
         local_(tile.outer.grown(tile_ring_px, field.size())),
+        quads_{local_.u0 / quad_px, local_.v0 / quad_px, local_.u0 / quad_px + (local_.width() + 1) / quad_px,
+               local_.v0 / quad_px + (local_.height() + 1) / quad_px},
         prior_loss_(options.prior_robust_gsd),
-        slope_loss_(std::max(options.slope_weight * options.slope_change, 1e-9)),
+        slope_loss_(std::max(options.slope_weight * slope_change, 1e-9)),
         albedo_loss_(std::max(std::sqrt(field.albedo_weight) * field.albedo_contrast, 1e-9)) {
-    columns_ = (local_.width() + 1) / quad_px;
-    rows_ = (local_.height() + 1) / quad_px;
-    first_ = {local_.u0 / quad_px, local_.v0 / quad_px};
     copy_in();
     ceres::Problem::Options ownership;
     ownership.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -79,7 +80,6 @@ class TileProblem {
     ceres::Solve(solver, problem_.get(), &summary);
     statistics.cost_before = summary.initial_cost;
     statistics.cost_after = summary.initial_cost - stop.cost_change();
-    statistics.iterations = static_cast<int>(summary.iterations.size()) - 1;
     statistics.rejected_steps = summary.num_unsuccessful_steps;
     statistics.failed_tiles =
         has_solution(summary, "refinement of a tile of " + std::to_string(unknowns_) + " unknowns (refine.tile_px)")
@@ -93,10 +93,8 @@ class TileProblem {
   /// Solution on the outer rectangle, row major.
   std::vector<double> solution() const {
     std::vector<double> x;
-    x.reserve(static_cast<std::size_t>(tile_.outer.width()) * static_cast<std::size_t>(tile_.outer.height()));
-    for (int v = tile_.outer.v0; v < tile_.outer.v1; ++v) {
-      for (int u = tile_.outer.u0; u < tile_.outer.u1; ++u) x.push_back(x_[pixel_index(u, v)]);
-    }
+    x.reserve(tile_.outer.size().area());
+    for_each_pixel(tile_.outer, [&](int u, int v) { x.push_back(x_[pixel_index(u, v)]); });
     return x;
   }
 
@@ -141,7 +139,7 @@ class TileProblem {
   std::shared_ptr<ceres::ParameterBlockOrdering> nested_dissection() {
     auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
     int groups = 0;
-    dissect({first_.column, first_.row, first_.column + columns_, first_.row + rows_}, groups, *ordering);
+    dissect(quads_, groups, *ordering);
     return ordering;
   }
 
@@ -159,51 +157,34 @@ class TileProblem {
       dissect(before, groups, ordering);
       dissect(after, groups, ordering);
     }
-    for (int row = last.v0; row < last.v1; ++row) {
-      for (int column = last.u0; column < last.u1; ++column) {
-        if (quad_has_object(field_, {column, row}))
-          ordering.AddElementToGroup(x_.data() + quad_offset({column, row}), groups);
-      }
-    }
+    for_each_quad(last, [&](QuadIndex quad) { ordering.AddElementToGroup(x_.data() + quad_offset(quad), groups); });
     ++groups;
   }
 
-  bool is_local(QuadIndex q) const {
-    return q.column >= first_.column && q.row >= first_.row && q.column < first_.column + columns_ &&
-           q.row < first_.row + rows_;
-  }
+  bool is_local(QuadIndex q) const { return quads_.contains(q.column, q.row); }
   std::size_t quad_offset(QuadIndex q) const {
-    return 4 * (static_cast<std::size_t>(q.row - first_.row) * static_cast<std::size_t>(columns_) +
-                static_cast<std::size_t>(q.column - first_.column));
+    return 4 * quads_.size().index(q.column - quads_.u0, q.row - quads_.v0);
   }
   std::size_t pixel_index(int u, int v) const {
     return quad_offset({u / quad_px, v / quad_px}) + static_cast<std::size_t>((v % quad_px) * quad_px + u % quad_px);
   }
-  bool is_unknown(QuadIndex q) const {
-    return quad_px * q.column >= tile_.outer.u0 && quad_px * q.row >= tile_.outer.v0 &&
-           quad_px * q.column < tile_.outer.u1 && quad_px * q.row < tile_.outer.v1;
-  }
+  bool is_unknown(QuadIndex q) const { return tile_.outer.contains(quad_px * q.column, quad_px * q.row); }
 
   void copy_in() {
-    x_.assign(4 * static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), 0.0);
-    for (int v = local_.v0; v < local_.v1; ++v) {
-      for (int u = local_.u0; u < local_.u1; ++u) {
-        if (field_.is_object(u, v)) x_[pixel_index(u, v)] = field_.x(u, v);
-      }
-    }
+    x_.assign(4 * quads_.size().area(), 0.0);
+    for_each_pixel(local_, field_.object, [&](int u, int v) { x_[pixel_index(u, v)] = field_.x(u, v); });
   }
 
+  /// Calls visit(quad) for the quads of a rectangle that hold a part of the object.
   template <class Visit>
-  void for_each_quad(Visit&& visit) const {
-    for (int row = first_.row; row < first_.row + rows_; ++row) {
-      for (int column = first_.column; column < first_.column + columns_; ++column) {
-        if (quad_has_object(field_, {column, row})) visit(QuadIndex{column, row});
-      }
-    }
+  void for_each_quad(const PixelRect& quads, Visit&& visit) const {
+    for_each_pixel(quads, [&](int column, int row) {
+      if (nodes_on_object(field_, {column, row}) > 0) visit(QuadIndex{column, row});
+    });
   }
 
   void add_parameters() {
-    for_each_quad([&](QuadIndex quad) {
+    for_each_quad(quads_, [&](QuadIndex quad) {
       double* block = x_.data() + quad_offset(quad);
       problem_->AddParameterBlock(block, 4);
       if (is_unknown(quad)) {
@@ -232,15 +213,6 @@ class TileProblem {
     return losses_.back().get();
   }
 
-  bool is_whole(QuadIndex quad) const {
-    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-        if (!field_.is_object(u, v)) return false;
-      }
-    }
-    return true;
-  }
-
   /// Share of noise in the variance of the polarization of a quad's diffuse pixels, at least `least`. The other part is
   /// the model's error, which smoothing does not average out. A mirror's polarization is far above its noise, and with
   /// a map of the surroundings other costs hold the slopes.
@@ -248,36 +220,30 @@ class TileProblem {
     constexpr double least = 0.02;
     double sum = 0;
     int count = 0;
-    for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-      for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-        if (!field_.is_object(u, v)) continue;
-        ++count;
-        if (field_.kind_at(u, v) != Reflection::diffuse || field_.reflection.mirrored) continue;
-        const double precision = field_.stokes_precision(u, v);
-        sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
-      }
-    }
+    for_each_node(field_, quad, [&](int u, int v, int) {
+      ++count;
+      if (field_.kind(u, v) != Reflection::diffuse || field_.reflection.mirrored) return;
+      const double precision = field_.stokes_precision(u, v);
+      sum += precision > 0 ? std::min(precision * field_.variance(u, v), 1.0) : 1;
+    });
     return std::max(sum / std::max(count, 1), least);
   }
 
   void add_costs(const TileOptions& options) {
-    for_each_quad([&](QuadIndex quad) {
-      if (!is_whole(quad)) add(std::make_unique<OutsideCost>(field_, quad));
+    for_each_quad(quads_, [&](QuadIndex quad) {
+      if (nodes_on_object(field_, quad) < quad_px * quad_px) add(std::make_unique<OutsideCost>(field_, quad));
       for (const Axis axis : {Axis::u, Axis::v}) {
-        if (quad_has_object(field_, next_quad(quad, axis)))
+        if (nodes_on_object(field_, next_quad(quad, axis)) > 0)
           add(std::make_unique<SmoothnessCost>(field_, quad, axis, options.smoothness * noise_share(quad)));
       }
-      for (int v = quad_px * quad.row; v < quad_px * (quad.row + 1); ++v) {
-        for (int u = quad_px * quad.column; u < quad_px * (quad.column + 1); ++u) {
-          if (!field_.is_object(u, v)) continue;
-          if (options.slope_weight > 0)
-            add(std::make_unique<SlopeChangeCost>(field_, u, v, options.slope_weight), &slope_loss_);
-          if (field_.stokes_precision(u, v) > 0)
-            add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
-          if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
-            add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
-        }
-      }
+      for_each_node(field_, quad, [&](int u, int v, int) {
+        if (options.slope_weight > 0)
+          add(std::make_unique<SlopeChangeCost>(field_, u, v, options.slope_weight), &slope_loss_);
+        if (field_.stokes_precision(u, v) > 0)
+          add(std::make_unique<StokesCost>(field_, u, v), keep(std::make_unique<StokesLoss>(field_, u, v)));
+        if (field_.albedo_weight > 0 && std::isfinite(field_.log_body(u, v)))
+          add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
+      });
     });
     for (int row = local_.v0 / prior_block_px; row * prior_block_px < local_.v1; ++row) {
       for (int column = local_.u0 / prior_block_px; column * prior_block_px < local_.u1; ++column) {
@@ -292,8 +258,7 @@ class TileProblem {
   const RefinementField& field_;
   Tile tile_;
   PixelRect local_;
-  QuadIndex first_;
-  int columns_ = 0, rows_ = 0;
+  PixelRect quads_;  ///< of the local pixels, in units of quads
   std::size_t unknowns_ = 0;
   std::vector<double> x_;  // quad by quad
   ceres::CauchyLoss prior_loss_, slope_loss_, albedo_loss_;
@@ -316,10 +281,7 @@ double blend_weight(int at, int core0, int core1, int outer0, int outer1) {
 std::vector<std::size_t> largest_first(const std::vector<Tile>& tiles, const Mask& object) {
   std::vector<int> unknowns(tiles.size(), 0);
   for (std::size_t i = 0; i < tiles.size(); ++i) {
-    const PixelRect& area = tiles[i].outer;
-    for (int v = area.v0; v < area.v1; ++v) {
-      for (int u = area.u0; u < area.u1; ++u) unknowns[i] += object(u, v) != 0 ? 1 : 0;
-    }
+    for_each_pixel(tiles[i].outer, object, [&](int, int) { ++unknowns[i]; });
   }
   std::vector<std::size_t> order(tiles.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -369,9 +331,7 @@ std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size i
 SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   cost_before += other.cost_before;
   cost_after += other.cost_after;
-  iterations += other.iterations;
   rejected_steps += other.rejected_steps;
-  failed_tiles += other.failed_tiles;
   tiles += other.tiles;
   solver_seconds += other.solver_seconds;
   linear_solver_seconds += other.linear_solver_seconds;
@@ -384,15 +344,14 @@ std::vector<TileSolution> solve_tiles(const RefinementField& field, const std::v
   std::vector<TileSolution> solutions(tiles.size());
   std::mutex reporting;
   const std::vector<std::size_t> order = largest_first(tiles, field.object);
-  parallel_for(context, tiles.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (const std::size_t i : std::span(order).subspan(begin, end - begin)) {
-      TileProblem problem(field, tiles[i], options);
-      solutions[i].statistics = problem.solve(options, context);
-      context.check_cancel();
-      solutions[i].x = problem.solution();
-      const std::lock_guard lock(reporting);
-      solved();
-    }
+  parallel_for(context, tiles.size(), 1, [&](std::size_t k, std::size_t) {
+    const std::size_t i = order[k];
+    TileProblem problem(field, tiles[i], options);
+    solutions[i].statistics = problem.solve(options, context);
+    context.check_cancel();
+    solutions[i].x = problem.solution();
+    const std::lock_guard lock(reporting);
+    solved();
   });
   return solutions;
 }

@@ -30,15 +30,14 @@ std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size i
 struct TileOptions {
   int iterations = 1;           ///< accepted Gauss–Newton steps of one solve
   double smoothness = 0.05;     ///< weight of the second differences
-  double slope_weight = 0;      ///< weight of slope changes from the prior …
-  double slope_change = 0.1;    ///< … and the change whose weight is halved
+  double slope_weight = 0;      ///< weight of slope changes from the prior
   double prior_robust_gsd = 2;  ///< scale of the Cauchy loss of the prior blocks
 };
 
 /// Statistics of Ceres, summed over tiles.
 struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
-  int iterations = 0, rejected_steps = 0;
+  int rejected_steps = 0;
   int failed_tiles = 0;  ///< whose equations could not be solved: they keep their start
   int tiles = 0;         ///< that hold a part of the object
   double solver_seconds = 0,

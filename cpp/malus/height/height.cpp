@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/tiled_axis_internal.h"
@@ -87,64 +88,50 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
   return HeightStatus::iteration_limit;
 }
 
+/// Raster of the unknowns' heights, NaN elsewhere.
+Image<float> raster_of(const Eigen::VectorXd& height, const PixelIndex& pixels) {
+  Image<float> raster(pixels.size(), 1, none);
+  for (int i = 0; i < pixels.count(); ++i) raster(pixels.u(i), pixels.v(i)) = static_cast<float>(height[i]);
+  return raster;
+}
+
 /// Height of a raster by systems that cover all its pixels.
 void solve_whole(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
                  HeightMap& map) {
   HeightProblem problem(data, options, light, context);
   Eigen::VectorXd height;
-  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
-  const SolveStatus linear = problem.solve_linear(literal, height);
+  const SolveStatus linear = problem.solve_linear(options.method == HeightMethod::literal, height);
   map.iterations = 1;
   map.solver_bytes = problem.solver_bytes();
   map.solver_iterations = problem.solver_iterations();
   map.status = linear == SolveStatus::solved ? HeightStatus::converged : HeightStatus::singular;
-  if (likelihood && map.status == HeightStatus::converged)
+  if (options.method == HeightMethod::likelihood && map.status == HeightStatus::converged)
     map.status = maximize_likelihood(problem, options, context, height, map);
   if (map.status == HeightStatus::singular) return;
-  map.residual_rms = problem.residual_rms(height, literal, likelihood);
-  map.height = Image<float>(data.size(), 1, none);
-  for (int i = 0; i < problem.unknowns(); ++i)
-    map.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
-}
-
-/// One axis of an image in tiles. Pixels next to a tile's edge are held to the start, so they get weight 0 in the
-/// blend.
-TiledAxis tiled(int extent) {
-  return TiledAxis(0, extent, std::max(1, (extent + tile_px / 2) / tile_px), margin_px, margin_px / 2);
+  map.residual_rms = problem.residual_rms(height);
+  map.height = raster_of(height, problem.pixels());
 }
 
 /// Holds to the start those pixels along a tile's edges beyond which the image continues.
-void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box, Size whole) {
+void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
   constexpr int ring_px = GridSystem::reach;
   tile.ring_height = Image<float>(tile.size(), 1, none);
-  for (int v = 0; v < box.height(); ++v) {
-    for (int u = 0; u < box.width(); ++u) {
-      const bool on_ring = (box.u0 > 0 && u < ring_px) || (box.v0 > 0 && v < ring_px) ||
-                           (box.u1 < whole.width && u >= box.width() - ring_px) ||
-                           (box.v1 < whole.height && v >= box.height() - ring_px);
-      if (on_ring) tile.ring_height(u, v) = start(box.u0 + u, box.v0 + v);
-    }
-  }
+  for_each_pixel(box, [&](int u, int v) {
+    if (box.is_at_cut(u, v, ring_px, start.size())) tile.ring_height(u - box.u0, v - box.v0) = start(u, v);
+  });
 }
 
-/// Result of one step in a tile.
-struct TileResult {
-  Image<float> height;
-  HeightMap map;
-  double squares = 0;
-  std::size_t pixels = 0;
-};
-
-TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
-                      const HeightLight& light, const Context& context) {
-  TileResult result;
-  result.height = Image<float>(tile.size(), 1, none);
-  const bool literal = options.method == HeightMethod::literal, likelihood = options.method == HeightMethod::likelihood;
+/// One step in a tile.
+HeightMap solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
+                     const HeightLight& light, const Context& context) {
+  const bool likelihood = options.method == HeightMethod::likelihood;
   // The likelihood takes one step from a good start, by conjugate gradients: a factorization would take four times as
   // long.
   HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
-  result.pixels = static_cast<std::size_t>(problem.unknowns());
-  if (problem.unknowns() == 0) return result;
+  HeightMap map;
+  map.height = Image<float>(tile.size(), 1, none);
+  map.unknowns = static_cast<std::size_t>(problem.unknowns());
+  if (problem.unknowns() == 0) return map;
   Eigen::VectorXd height(problem.unknowns());
   for (int i = 0; i < problem.unknowns(); ++i)
     height[i] = start(box.u0 + problem.pixels().u(i), box.v0 + problem.pixels().v(i));
@@ -152,18 +139,17 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
   if (likelihood) {
     // One step is enough: the start lacks only the finest detail.
     double cost = problem.linearize(height);
-    step(problem, height, cost, result.map);
-  } else if (Eigen::VectorXd solution = height; problem.solve_linear(literal, solution) == SolveStatus::solved) {
-    result.map.iterations = 1;
+    step(problem, height, cost, map);
+  } else if (Eigen::VectorXd solution = height;
+             problem.solve_linear(options.method == HeightMethod::literal, solution) == SolveStatus::solved) {
+    map.iterations = 1;
     height = solution;
   }
-  result.map.solver_bytes = problem.solver_bytes();
-  result.map.solver_iterations = problem.solver_iterations();
-  for (int i = 0; i < problem.unknowns(); ++i) {
-    result.height(problem.pixels().u(i), problem.pixels().v(i)) = static_cast<float>(height[i]);
-    result.squares += likelihood ? problem.likelihood_square(i, height) : problem.linear_square(i, height, literal);
-  }
-  return result;
+  map.solver_bytes = problem.solver_bytes();
+  map.solver_iterations = problem.solver_iterations();
+  map.residual_rms = problem.residual_rms(height);
+  map.height = raster_of(height, problem.pixels());
+  return map;
 }
 
 /// One step in tiles from a start at the raster's resolution. tile(box) returns a tile's data. Sets map.height to the
@@ -171,42 +157,36 @@ TileResult solve_tile(const HeightData& tile, const Image<float>& start, PixelRe
 void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Image<float>& start,
                     const HeightOptions& options, const HeightLight& light, const Context& context, HeightMap& map) {
   const Size size = start.size();
-  const TiledAxis columns = tiled(size.width), rows = tiled(size.height);
-  const auto box_of = [&](std::size_t k) {
-    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    return PixelRect{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-  };
-  std::vector<TileResult> results(static_cast<std::size_t>(columns.tiles()) * static_cast<std::size_t>(rows.tiles()));
+  const TiledImage tiles(size, tile_px, margin_px);
+  std::vector<HeightMap> results(static_cast<std::size_t>(tiles.tiles()));
   // One thread per tile, so that the tile's vectors stay in that core's cache.
   Context inner = context;
   inner.threads = 1;
   inner.on_progress = {};
   parallel_for(context, results.size(), 1, [&](std::size_t k, std::size_t) {
-    HeightData data = tile(box_of(k));
-    hold_ring(data, start, box_of(k), size);
-    results[k] = solve_tile(data, start, box_of(k), options, light, inner);
+    const PixelRect box = tiles.box(static_cast<int>(k));
+    HeightData data = tile(box);
+    hold_ring(data, start, box);
+    results[k] = solve_tile(data, start, box, options, light, inner);
   });
 
   map.height = Image<float>(size, 1, 0.0F);
   double squares = 0, changes = 0, pixels = 0;
   int steps = 0;
-  for (std::size_t k = 0; k < results.size(); ++k) {
-    const TileResult& result = results[k];
-    const int column = static_cast<int>(k) % columns.tiles(), row = static_cast<int>(k) / columns.tiles();
-    const PixelRect box = box_of(k);
-    parallel_rows(context, box.height(), [&](int y) {
-      const double along_v = rows.weight(row, box.v0 + y);
-      for (int x = 0; x < box.width(); ++x) {
-        const auto weight = static_cast<float>(along_v * columns.weight(column, box.u0 + x));
-        if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
-      }
+  for (int k = 0; k < tiles.tiles(); ++k) {
+    const HeightMap& result = results[static_cast<std::size_t>(k)];
+    const PixelRect box = tiles.box(k);
+    parallel_pixels(context, box.size(), [&](int x, int y) {
+      const auto weight = static_cast<float>(tiles.weight(k, box.u0 + x, box.v0 + y));
+      if (weight > 0) map.height(box.u0 + x, box.v0 + y) += weight * result.height(x, y);
     });
-    squares += result.squares;
-    changes += result.map.last_update * result.map.last_update * static_cast<double>(result.pixels);
-    pixels += static_cast<double>(result.pixels);
-    steps = std::max(steps, result.map.iterations);
-    map.solver_iterations += result.map.solver_iterations;
-    map.solver_bytes = std::max(map.solver_bytes, context.threads * result.map.solver_bytes);
+    const auto unknowns = static_cast<double>(result.unknowns);
+    squares += unknowns * result.residual_rms * result.residual_rms;
+    changes += unknowns * result.last_update * result.last_update;
+    pixels += unknowns;
+    steps = std::max(steps, result.iterations);
+    map.solver_iterations += result.solver_iterations;
+    map.solver_bytes = std::max(map.solver_bytes, context.threads * result.solver_bytes);
   }
   map.iterations += steps;
   map.residual_rms = std::sqrt(squares / std::max(pixels, 1.0));
@@ -218,16 +198,12 @@ bool is_whole(std::size_t pixels, const HeightOptions& options) {
   return pixels <= (options.method == HeightMethod::likelihood ? whole_height_pixels : whole_linear_pixels);
 }
 
-std::size_t pixels_of(const Mask& object) {
-  return static_cast<std::size_t>(std::count_if(object.begin(), object.end(), [](std::uint8_t m) { return m != 0; }));
-}
-
 /// Height of an object of any size: large ones are solved at half the resolution first, then in tiles. Only the
 /// object's own pixels count: with those around it, a small object in a large image would be halved until little of it
 /// is left.
 void solve_by_levels(const HeightData& data, const HeightOptions& options, const HeightLight& light,
                      const Context& context, HeightMap& map) {
-  if (is_whole(pixels_of(data.object), options)) {
+  if (is_whole(static_cast<std::size_t>(count_of_set(data.object)), options)) {
     solve_whole(data, options, light, context, map);
     return;
   }
@@ -236,10 +212,6 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
   const Image<float> start = refined_height(map.height, data.object, context);
   solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
 }
-
-}  // namespace
-
-namespace {
 
 /// The light from the first available source: an earlier estimate, the prior's normals, or polarization alone.
 LightEstimate light_of(const HeightInput& input, const Mask& valid, const Pinhole* camera, const LightOptions& options,
@@ -262,7 +234,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   map.height = Image<float>(state.size(), 1, none);
 
   Mask valid = pixels_in(state, PixelState::valid);
-  if (std::none_of(valid.begin(), valid.end(), [](std::uint8_t value) { return value != 0; })) {
+  if (count_of_set(valid) == 0) {
     map.status = HeightStatus::no_valid_pixels;
     return map;
   }
@@ -292,7 +264,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
 
   // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
   const Mask object = pixels_in(state, PixelState::saturated);
-  map.unknowns = pixels_of(object);
+  map.unknowns = static_cast<std::size_t>(count_of_set(object));
   const PixelRect all{0, 0, state.size().width, state.size().height};
   // The data of a whole raster take much memory, whatever the object's size.
   if (!is_whole(state.size().area(), options)) {

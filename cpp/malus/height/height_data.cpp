@@ -112,12 +112,10 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
   const auto is_object = [&](int u, int v) {
     return state.valid.contains(u, v) && state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
   };
-  parallel_rows(context, box.height(), [&](int row) {
-    for (int column = 0; column < box.width(); ++column) {
-      const int u = box.u0 + column, v = box.v0 + row;
-      if (is_object(u - 1, v) && is_object(u + 1, v) && is_object(u, v - 1) && is_object(u, v + 1))
-        data.pixels(column, row).border_height = none;
-    }
+  parallel_pixels(context, box.size(), [&](int column, int row) {
+    const int u = box.u0 + column, v = box.v0 + row;
+    if (is_object(u - 1, v) && is_object(u + 1, v) && is_object(u, v - 1) && is_object(u, v + 1))
+      data.pixels(column, row).border_height = none;
   });
   return data;
 }
@@ -136,9 +134,8 @@ HeightData coarsened(const HeightData& fine, const Context& context) {
   const Size size{(fine.size().width + 1) / 2, (fine.size().height + 1) / 2};
   HeightData coarse = empty_data(size, fine.refractive_index, fine.perspective);
   if (fine.camera) coarse.camera = fine.camera->binned();
-  parallel_rows(context, size.height, [&](int row) {
-    for (int column = 0; column < size.width; ++column) coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row);
-  });
+  parallel_pixels(context, size,
+                  [&](int column, int row) { coarsen_pixel(fine, 2 * column, 2 * row, coarse, column, row); });
   return coarse;
 }
 

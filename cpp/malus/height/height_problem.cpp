@@ -1,5 +1,4 @@
 #include <cmath>
-#include <numbers>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/height/height_problem_internal.h"
@@ -49,12 +48,7 @@ SolveStatus HeightProblem::solve_linear(bool literal, Eigen::VectorXd& height) {
 }
 
 double HeightProblem::linearize(const Eigen::VectorXd& height) {
-  const auto part = [&](std::size_t begin, std::size_t end) {
-    double cost = 0;
-    for (std::size_t i = begin; i < end; ++i) cost += likelihood_term(static_cast<int>(i), height, terms_[i]);
-    return cost;
-  };
-  return parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size());
+  return mean_of([&](int i) { return likelihood_term(i, height, terms_[static_cast<std::size_t>(i)]); });
 }
 
 SolveStatus HeightProblem::solve_linearized(Eigen::VectorXd& height) {
@@ -70,26 +64,23 @@ SolveStatus HeightProblem::solve_assembled(double reduction, Eigen::VectorXd& he
 }
 
 double HeightProblem::slope_rms(const Eigen::VectorXd& height) const {
-  const auto part = [&](std::size_t begin, std::size_t end) {
-    double sum = 0;
-    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
-      const int u = pixels_.u(i), v = pixels_.v(i);
-      const double along_u = difference(u, v, 1, 0)(height), along_v = difference(u, v, 0, 1)(height);
-      sum += along_u * along_u + along_v * along_v;
-    }
-    return sum;
-  };
-  return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
+  return std::sqrt(mean_of([&](int i) { return gradient(i, height).squaredNorm(); }));
 }
 
-double HeightProblem::residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) const {
+double HeightProblem::residual_rms(const Eigen::VectorXd& height) const {
+  return std::sqrt(mean_of([&](int i) {
+    return options_.method == HeightMethod::likelihood ? likelihood_square(i, height) : linear_square(i, height);
+  }));
+}
+
+template <class Value>
+double HeightProblem::mean_of(Value&& value) const {
   const auto part = [&](std::size_t begin, std::size_t end) {
     double sum = 0;
-    for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i)
-      sum += likelihood ? likelihood_square(i, height) : linear_square(i, height, literal);
+    for (std::size_t i = begin; i < end; ++i) sum += value(static_cast<int>(i));
     return sum;
   };
-  return std::sqrt(parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size()));
+  return parallel_sum(context_, terms_.size(), grain, 0.0, part) / static_cast<double>(terms_.size());
 }
 
 template <class Body>
@@ -123,13 +114,9 @@ void HeightProblem::Term::add_row(const AffineSlopes& slopes, double p, double q
 }
 
 HeightProblem::Frame HeightProblem::frame_at(int u, int v) const {
-  AffineSlopes slopes = slopes_of_height(camera_);
-  if (rays_ != nullptr) {
-    slopes = slopes_of_log_depth(*rays_, u, v);
-    const double scale = -1 / rays_->focal();
-    for (Slopes* part : {&slopes.per_u, &slopes.per_v}) *part = {scale * part->p, scale * part->q};
-  }
   const RayFrame frame = ray_frame(rays_, u, v);
+  const AffineSlopes slopes =
+      rays_ != nullptr ? slopes_of_log_depth(*rays_, frame, u, v, -rays_->focal()) : slopes_of_height(camera_);
   const Eigen::Vector3d light = light_.coefficients.head<3>();
   const auto single = [](double value) { return static_cast<float>(value); };
   return {single(slopes.constant.p),      single(slopes.constant.q),   single(slopes.per_u.p),
@@ -137,9 +124,14 @@ HeightProblem::Frame HeightProblem::frame_at(int u, int v) const {
           single(light.dot(frame.right)), single(light.dot(frame.up)), single(light.dot(frame.view))};
 }
 
-Slopes HeightProblem::slopes_of(int i, const Eigen::VectorXd& height) const {
+Eigen::Vector2d HeightProblem::gradient(int i, const Eigen::VectorXd& height) const {
   const int u = pixels_.u(i), v = pixels_.v(i);
-  return frame(i).slopes()(difference(u, v, 1, 0)(height), difference(u, v, 0, 1)(height));
+  return {difference(u, v, 1, 0)(height), difference(u, v, 0, 1)(height)};
+}
+
+Slopes HeightProblem::slopes_of(int i, const Eigen::VectorXd& height) const {
+  const Eigen::Vector2d along = gradient(i, height);
+  return frame(i).slopes()(along[0], along[1]);
 }
 
 HeightProblem::LinearRows HeightProblem::linear_rows(int i, bool literal) const {
@@ -150,7 +142,7 @@ HeightProblem::LinearRows HeightProblem::linear_rows(int i, bool literal) const 
     const double degree = debiased_degree(std::hypot(s1, s2) / s0, data.variance_s / (s0 * s0));
     zenith = zenith_of(data.kind, degree, data_.refractive_index, data.branch).zenith_rad;
   }
-  const double azimuth = 0.5 * std::atan2(s2, s1) + (data.kind == Reflection::specular ? std::numbers::pi / 2 : 0);
+  const double azimuth = azimuth_of(data.kind, 0.5 * std::atan2(s2, s1));
   const Eigen::Vector3d light(frame(i).light_right, frame(i).light_up, frame(i).light_view);
   const double scale = literal ? 1 : 1 / light.norm();
   const double cosine = std::max(std::cos(zenith), smallest_cosine);
@@ -168,9 +160,9 @@ HeightProblem::Term HeightProblem::linear_term(int i, bool literal) const {
   return term;
 }
 
-double HeightProblem::linear_square(int i, const Eigen::VectorXd& height, bool literal) const {
+double HeightProblem::linear_square(int i, const Eigen::VectorXd& height) const {
   if (!pixel(i).has_data()) return 0;
-  const LinearRows rows = linear_rows(i, literal);
+  const LinearRows rows = linear_rows(i, options_.method == HeightMethod::literal);
   const Slopes s = slopes_of(i, height);
   const double phase = rows.phase_weight * (rows.phase_p * s.p + rows.phase_q * s.q);
   const double shading = rows.shading_p * s.p + rows.shading_q * s.q - rows.shading_target;
@@ -217,12 +209,11 @@ double HeightProblem::likelihood_square(int i, const Eigen::VectorXd& height) co
 }
 
 double HeightProblem::likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const {
-  const int u = pixels_.u(i), v = pixels_.v(i);
-  const double along_u = difference(u, v, 1, 0)(height), along_v = difference(u, v, 0, 1)(height);
-  term = {options_.damping, 0, options_.damping, options_.damping * along_u, options_.damping * along_v};
+  const Eigen::Vector2d along = gradient(i, height);
+  term = {options_.damping, 0, options_.damping, options_.damping * along[0], options_.damping * along[1]};
   if (!pixel(i).has_data()) return 0;
   const AffineSlopes slopes = frame(i).slopes();
-  const Slopes s = slopes(along_u, along_v);
+  const Slopes s = slopes(along[0], along[1]);
   const Residuals r = residuals(i, s);
   // Shading and polarization fail for different reasons: each keeps its own weight.
   const double shading_weight = robust_weight(r.shading_square()), stokes_weight = robust_weight(r.stokes_square());

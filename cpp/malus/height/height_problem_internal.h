@@ -43,11 +43,8 @@ class HeightProblem {
 
   /// RMS of the derivatives of a height.
   double slope_rms(const Eigen::VectorXd& height) const;
-  /// Sum of a pixel's squared residuals at a height: of the likelihood or of the linear rows.
-  double likelihood_square(int i, const Eigen::VectorXd& height) const;
-  double linear_square(int i, const Eigen::VectorXd& height, bool literal) const;
-  /// RMS of one of these two over all pixels.
-  double residual_rms(const Eigen::VectorXd& height, bool literal, bool likelihood) const;
+  /// RMS of the residuals at a height over all pixels: of the likelihood or of the linear rows, by the method.
+  double residual_rms(const Eigen::VectorXd& height) const;
 
  private:
   /// A derivative at a pixel as a weighted sum of up to three unknowns.
@@ -95,10 +92,15 @@ class HeightProblem {
 
   template <class Body>
   void for_each_pixel(Body&& body);
+  /// Mean of value(i) over the unknowns.
+  template <class Value>
+  double mean_of(Value&& value) const;
   Difference difference(int u, int v, int du, int dv) const;
   const HeightPixel& pixel(int i) const { return data_.pixels(pixels_.u(i), pixels_.v(i)); }
   const Frame& frame(int i) const { return frames_[static_cast<std::size_t>(i)]; }
   Frame frame_at(int u, int v) const;
+  /// Derivatives of a height along u and v.
+  Eigen::Vector2d gradient(int i, const Eigen::VectorXd& height) const;
   Slopes slopes_of(int i, const Eigen::VectorXd& height) const;
   LinearRows linear_rows(int i, bool literal) const;
   Term linear_term(int i, bool literal) const;
@@ -107,6 +109,9 @@ class HeightProblem {
   double square_limit() const { return options_.outlier_scale * options_.outlier_scale; }
   /// Cauchy weight of a squared residual.
   double robust_weight(double square) const { return 1 / (1 + square / square_limit()); }
+  /// Sum of a pixel's squared residuals at a height: of the likelihood and of the linear rows.
+  double likelihood_square(int i, const Eigen::VectorXd& height) const;
+  double linear_square(int i, const Eigen::VectorXd& height) const;
   double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const;
   void assemble();
   SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height);

@@ -22,26 +22,18 @@ struct Sample {
 /// Samples per task of a thread.
 constexpr std::size_t grain = 4096;
 
-/// Weighted least squares for the coefficients of the basis.
-struct NormalEquations {
-  Eigen::Matrix4d matrix = Eigen::Matrix4d::Zero();
-  Eigen::Vector4d right = Eigen::Vector4d::Zero();
-
-  NormalEquations& operator+=(const NormalEquations& other) {
-    matrix += other.matrix;
-    right += other.right;
-    return *this;
-  }
-};
+/// Weighted least squares for the coefficients of the basis: the matrix, and the right-hand side as a fifth column.
+using NormalEquations = Eigen::Matrix<double, 4, 5>;
 
 NormalEquations normal_equations(const std::vector<Sample>& samples, const std::vector<double>& weights,
                                  const Context& context) {
-  return parallel_sum(context, samples.size(), grain, NormalEquations{}, [&](std::size_t begin, std::size_t end) {
-    NormalEquations sum;
+  const NormalEquations zero = NormalEquations::Zero();
+  return parallel_sum(context, samples.size(), grain, zero, [&](std::size_t begin, std::size_t end) {
+    NormalEquations sum = zero;
     for (std::size_t i = begin; i < end; ++i) {
       const Eigen::Vector4d weighted = weights[i] * samples[i].basis;
-      sum.matrix += weighted * samples[i].basis.transpose();
-      sum.right += samples[i].intensity * weighted;
+      sum.leftCols<4>() += weighted * samples[i].basis.transpose();
+      sum.col(4) += samples[i].intensity * weighted;
     }
     return sum;
   });
@@ -101,6 +93,14 @@ double tangential_light(const Eigen::Vector3d& light, const Pinhole* camera, Siz
   return std::sqrt(sum / ((steps + 1) * (steps + 1)));
 }
 
+double reweigh(const std::vector<double>& residuals, double outlier_scale, std::vector<double>& weights) {
+  std::vector<double> sorted = residuals;
+  const double sigma = robust_spread(sorted), scale = std::max(outlier_scale * sigma, 1e-12);
+  for (std::size_t i = 0; i < residuals.size(); ++i)
+    weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
+  return sigma;
+}
+
 LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
                              const Pinhole* camera, const LightOptions& options, const Context& context) {
   validate_fields(options, "lighting");
@@ -121,22 +121,17 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
   for (int iteration = 0; iteration < options.iterations; ++iteration) {
     context.check_cancel();
     const NormalEquations equations = normal_equations(samples, weights, context);
-    const Eigen::MatrixXd used = equations.matrix.topLeftCorner(unknowns, unknowns);
+    const Eigen::MatrixXd used = equations.topLeftCorner(unknowns, unknowns);
     const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(used).eigenvalues();
     light.condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
     if (!(light.condition <= options.max_condition)) {
       light.status = LightStatus::normals_alike;
       return light;
     }
-    light.coefficients.head(unknowns) = used.ldlt().solve(equations.right.head(unknowns));
+    light.coefficients.head(unknowns) = used.ldlt().solve(equations.col(4).head(unknowns));
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
-    std::vector<double> sorted = residuals;
-    light.robust_sigma = robust_spread(sorted);
-    const double scale = std::max(options.outlier_scale * light.robust_sigma, 1e-12);
-    for (std::size_t i = 0; i < samples.size(); ++i) {
-      weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
-    }
+    light.robust_sigma = reweigh(residuals, options.outlier_scale, weights);
   }
   light.tangential = tangential_light(light.coefficients.head<3>(), camera, intensity.size());
   light.status = light.tangential < options.min_tangential ? LightStatus::along_view : LightStatus::estimated;

@@ -80,8 +80,7 @@ std::optional<LightEstimate> light_from_contour(const PolarizationState& state, 
       if (distance < first_px || distance > band || reflection.at(u, v) == Reflection::outside) continue;
       if (!state.is_valid(u, v) || !(zenith > flattest && zenith < steepest)) continue;
       ++inclined;
-      const bool specular = reflection.at(u, v) == Reflection::specular;
-      const double azimuth = state.phi(u, v) + (specular ? std::numbers::pi / 2 : 0.0);
+      const double azimuth = azimuth_of(reflection.at(u, v), state.phi(u, v));
       const Eigen::Vector3d normal = outward_normal(ray_frame(camera, u, v), zenith, azimuth, outline, u, v);
       if (normal.isZero()) continue;
       ++agreeing;

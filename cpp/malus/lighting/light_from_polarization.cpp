@@ -5,7 +5,6 @@
 #include <numbers>
 #include <vector>
 
-#include "malus/core/robust_spread_internal.h"
 #include "malus/lighting/light_from_contour_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -30,29 +29,24 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Reflectio
   const auto usable = [&](int u, int v) { return reflection.at(u, v) != Reflection::outside && state.is_valid(u, v); };
   std::size_t count = 0;
   Eigen::Vector2d middle = Eigen::Vector2d::Zero();
-  for (int v = 0; v < state.size().height; ++v) {
-    for (int u = 0; u < state.size().width; ++u) {
-      if (!usable(u, v)) continue;
-      middle += Eigen::Vector2d(u, -v);
-      ++count;
-    }
-  }
+  for_each_pixel(state.size(), [&](int u, int v) {
+    if (!usable(u, v)) return;
+    middle += Eigen::Vector2d(u, -v);
+    ++count;
+  });
   middle /= static_cast<double>(std::max<std::size_t>(count, 1));
   const std::size_t stride = count / most_samples + 1;
   std::vector<Sample> samples;
   std::size_t next = 0;
-  for (int v = 0; v < state.size().height; ++v) {
-    for (int u = 0; u < state.size().width; ++u) {
-      if (!usable(u, v) || next++ % stride != 0) continue;
-      const RayFrame frame = ray_frame(camera, u, v);
-      const bool specular = reflection.at(u, v) == Reflection::specular;
-      const double azimuth = state.phi(u, v) + (specular ? std::numbers::pi / 2 : 0.0);
-      const double zenith = reflection.zenith(u, v);
-      samples.push_back({std::cos(zenith) * frame.view,
-                         std::sin(zenith) * (std::cos(azimuth) * frame.right + std::sin(azimuth) * frame.up),
-                         state.i_un(u, v), Eigen::Vector2d(u, -v) - middle});
-    }
-  }
+  for_each_pixel(state.size(), [&](int u, int v) {
+    if (!usable(u, v) || next++ % stride != 0) return;
+    const RayFrame frame = ray_frame(camera, u, v);
+    const double azimuth = azimuth_of(reflection.at(u, v), state.phi(u, v));
+    const double zenith = reflection.zenith(u, v);
+    samples.push_back({std::cos(zenith) * frame.view,
+                       std::sin(zenith) * (std::cos(azimuth) * frame.right + std::sin(azimuth) * frame.up),
+                       state.i_un(u, v), Eigen::Vector2d(u, -v) - middle});
+  });
   return samples;
 }
 
@@ -105,11 +99,7 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
       sum += weights[i];
     }
     fit.rms = std::sqrt(squares / sum);
-    std::vector<double> sorted = residuals;
-    fit.robust_sigma = robust_spread(sorted);
-    const double scale = std::max(outlier_scale * fit.robust_sigma, 1e-12);
-    for (std::size_t i = 0; i < samples.size(); ++i)
-      weights[i] = 1 / (1 + residuals[i] * residuals[i] / (scale * scale));
+    fit.robust_sigma = reweigh(residuals, outlier_scale, weights);
   }
   return fit;
 }

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <string_view>
+#include <vector>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
@@ -39,6 +40,9 @@ struct LightEstimate {
 
 /// Sine of the angle between a light direction and the view, RMS over the raster. camera null = orthographic.
 double tangential_light(const Eigen::Vector3d& light, const Pinhole* camera, Size size);
+
+/// Sets Cauchy weights by absolute residuals, halved at outlier_scale robust standard deviations; returns one of these.
+double reweigh(const std::vector<double>& residuals, double outlier_scale, std::vector<double>& weights);
 
 /// Fits light to shading and known normals by robust least squares (IRLS, Cauchy weights).
 ///

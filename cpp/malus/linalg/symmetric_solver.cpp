@@ -1,5 +1,4 @@
-#include <cholmod.h>
-
+#include <Eigen/CholmodSupport>
 #include <cmath>
 #include <sstream>
 #include <string>
@@ -9,37 +8,6 @@
 
 namespace malus {
 namespace {
-
-/// CHOLMOD's view of an Eigen matrix; shares its memory.
-cholmod_sparse view(const SymmetricSolver::Matrix& lower) {
-  cholmod_sparse view{};
-  view.nrow = static_cast<std::size_t>(lower.rows());
-  view.ncol = static_cast<std::size_t>(lower.cols());
-  view.nzmax = static_cast<std::size_t>(lower.nonZeros());
-  view.p = const_cast<int*>(lower.outerIndexPtr());
-  view.i = const_cast<int*>(lower.innerIndexPtr());
-  view.x = const_cast<double*>(lower.valuePtr());
-  view.stype = -1;
-  view.itype = CHOLMOD_INT;
-  view.xtype = CHOLMOD_REAL;
-  view.dtype = CHOLMOD_DOUBLE;
-  view.sorted = 1;
-  view.packed = 1;
-  return view;
-}
-
-/// The same for right-hand sides.
-cholmod_dense view_of(Eigen::Ref<Eigen::MatrixXd> columns) {
-  cholmod_dense view{};
-  view.nrow = static_cast<std::size_t>(columns.rows());
-  view.ncol = static_cast<std::size_t>(columns.cols());
-  view.d = static_cast<std::size_t>(columns.outerStride());
-  view.nzmax = view.d * view.ncol;
-  view.x = columns.data();
-  view.xtype = CHOLMOD_REAL;
-  view.dtype = CHOLMOD_DOUBLE;
-  return view;
-}
 
 void require_square_compressed(const SymmetricSolver::Matrix& lower) {
   if (lower.rows() != lower.cols() || !lower.isCompressed()) {
@@ -93,7 +61,7 @@ struct SymmetricSolver::Impl {
   /// Replaces right-hand sides by their solutions.
   void apply_inverse(Eigen::Ref<Eigen::MatrixXd> columns) {
     const SequentialBlas sequential;
-    cholmod_dense right = view_of(columns);
+    cholmod_dense right = Eigen::viewAsCholmod(columns);
     cholmod_dense* solution = cholmod_solve(CHOLMOD_A, factor, &right, &common);
     check("solving");
     columns =
@@ -124,7 +92,7 @@ FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int
   impl_->free_factor();
   impl_->unknowns = lower.rows();
   impl_->entries = lower.nonZeros();
-  cholmod_sparse matrix = view(lower);
+  cholmod_sparse matrix = Eigen::viewAsCholmod(lower.selfadjointView<Eigen::Lower>());
   impl_->common.method[0].ordering = order.empty() ? CHOLMOD_METIS : CHOLMOD_GIVEN;
   impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
@@ -141,7 +109,7 @@ SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
   }
   impl_->context.check_cancel();
   const SequentialBlas sequential;
-  cholmod_sparse matrix = view(lower);
+  cholmod_sparse matrix = Eigen::viewAsCholmod(lower.selfadjointView<Eigen::Lower>());
   cholmod_factorize(&matrix, impl_->factor, &impl_->common);
   impl_->check("factorizing");
   impl_->context.check_cancel();

@@ -2,10 +2,8 @@
 
 #include <Eigen/Core>
 #include <Eigen/SparseCore>
-#include <array>
 #include <memory>
 #include <span>
-#include <string_view>
 
 #include "malus/core/context.h"
 
@@ -13,14 +11,10 @@ namespace malus {
 
 /// Outcome of a factorization or solve.
 enum class SolveStatus {
-  not_run,
   solved,
   not_positive_definite,  ///< the matrix is singular or indefinite: no equation determines some unknown
   inaccurate,             ///< the residual stays above the limit: the matrix is too ill conditioned
 };
-constexpr auto names_of(SolveStatus) {
-  return std::to_array<std::string_view>({"not run", "solved", "not positive definite", "inaccurate"});
-}
 
 /// Cost of a factorization, known after analyze() and before its memory is allocated.
 struct FactorEstimate {

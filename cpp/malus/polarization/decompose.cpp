@@ -21,7 +21,7 @@ using Rows = std::vector<Eigen::Vector3d>;
 
 Rows design_rows(std::span<const double> angles_rad) {
   Rows rows;
-  for (const double a : angles_rad) rows.emplace_back(0.5, 0.5 * std::cos(2 * a), 0.5 * std::sin(2 * a));
+  for (const double angle : angles_rad) rows.emplace_back(polarizer_row(angle));
   return rows;
 }
 

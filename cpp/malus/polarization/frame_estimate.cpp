@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <numbers>
 #include <vector>
 
@@ -47,30 +48,21 @@ bool mostly_across(const std::vector<PhaseCell>& cells, double turn_rad, bool mi
   return across > 0.5 * all;
 }
 
-/// Angle between the normal and the half vector of light and view; without a light, between normal and view.
-std::vector<double> angles_from_highlight(const std::vector<PhaseCell>& cells, const FrameHints& hints) {
-  std::vector<double> angles;
-  for (const PhaseCell& cell : cells) {
+/// Sets the angles between the normals and the half vector of light and view; without a light, between normal and view.
+void set_highlight_angles(std::vector<PhaseCell>& cells, const FrameHints& hints) {
+  for (PhaseCell& cell : cells) {
     const Eigen::Vector3d half = hints.light ? (hints.light->normalized() + cell.view).normalized() : cell.view;
-    angles.push_back(std::acos(std::clamp(cell.normal.dot(half), -1.0, 1.0)));
+    cell.from_highlight_rad = std::acos(std::clamp(cell.normal.dot(half), -1.0, 1.0));
   }
-  return angles;
 }
 
-/// Keeps the cells outside the highlight only, or all cells if too few would remain.
-void keep_beside_highlight(std::vector<PhaseCell>& cells, std::vector<double>& from_highlight_rad, double limit_rad) {
+/// The cells outside the highlight only, or all cells if too few would remain.
+std::vector<PhaseCell> beside_highlight(const std::vector<PhaseCell>& cells, double limit_rad) {
   std::vector<PhaseCell> kept;
-  std::vector<double> kept_rad;
-  for (std::size_t i = 0; i < cells.size(); ++i) {
-    if (from_highlight_rad[i] <= limit_rad) continue;
-    kept.push_back(cells[i]);
-    kept_rad.push_back(from_highlight_rad[i]);
-  }
-  if (kept.size() < min_cells ||
-      static_cast<double>(kept.size()) <= min_share_beside_highlight * static_cast<double>(cells.size()))
-    return;
-  cells = std::move(kept);
-  from_highlight_rad = std::move(kept_rad);
+  std::ranges::copy_if(cells, std::back_inserter(kept),
+                       [&](const PhaseCell& cell) { return !(cell.from_highlight_rad <= limit_rad); });
+  const double least = min_share_beside_highlight * static_cast<double>(cells.size());
+  return kept.size() >= min_cells && static_cast<double>(kept.size()) > least ? kept : cells;
 }
 
 /// (b1, b2, turn) of a frame without mirror: a turn, and then a boost.
@@ -134,9 +126,8 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
   std::vector<double> tan2;
   for (const PhaseCell& cell : cells) tan2.push_back(cell.slopes.tan2());
   const double typical_tan2 = median_in_place(tan2);
-  std::vector<double> from_highlight_rad = angles_from_highlight(cells, hints);
-  std::vector<PhaseCell> beside = cells;
-  if (!estimate.specular) keep_beside_highlight(beside, from_highlight_rad, options.highlight_deg * pi / 180);
+  set_highlight_angles(cells, hints);
+  std::vector<PhaseCell> beside = estimate.specular ? cells : beside_highlight(cells, options.highlight_deg * pi / 180);
   estimate.pixels = static_cast<double>(beside.size());
   // The polarization of a wide highlight changes over a diffuse object. A fit that allows for it (FrameTerms::slopes)
   // shows how far it may turn the frame; that turn enters the covariance.
@@ -145,11 +136,11 @@ FrameEstimate estimate_frame(const PolarizationState& state, const Pinhole* came
     return values_of(mirror_taken ? StokesFrame(frame * mirrored_scale()) : frame);
   };
   double other_turn_rad = 0;
-  FrameFit fit(beside, from_highlight_rad, estimate.specular ? FrameTerms::radial : FrameTerms::none);
+  FrameFit fit(beside, estimate.specular ? FrameTerms::radial : FrameTerms::none);
   estimate.frame = fit.solve(start, context);
   estimate.values = values(estimate.frame);
   if (!estimate.specular) {
-    FrameFit other(std::move(beside), std::move(from_highlight_rad), FrameTerms::slopes);
+    FrameFit other(std::move(beside), FrameTerms::slopes);
     other_turn_rad = std::remainder(values(other.solve(estimate.frame, context))[2] - estimate.values[2], pi);
   }
   const Eigen::Matrix3d scatter = fit.covariance(estimate.frame);

@@ -19,11 +19,8 @@ constexpr double noise_floor = 0.003, slope_error = 0.04;
 
 }  // namespace
 
-FrameFit::FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, FrameTerms terms)
-    : cells_(std::move(cells)),
-      from_highlight_rad_(std::move(from_highlight_rad)),
-      parts_(parts_of(cells_, parts_per_side)),
-      terms_(terms) {}
+FrameFit::FrameFit(std::vector<PhaseCell> cells, FrameTerms terms)
+    : cells_(std::move(cells)), parts_(parts_of(cells_, parts_per_side)), terms_(terms) {}
 
 StokesFrame FrameFit::solve(const StokesFrame& start, const Context& context) {
   StokesFrame frame = start;
@@ -116,7 +113,7 @@ void FrameFit::accumulate(const StokesFrame& frame) {
       right_ += weight * equation.value * equation.row;
       const Vector gradient = weight * (equation.value - equation.row.dot(solution_)) * equation.row;
       by_part_[static_cast<std::size_t>(parts_[i])] += gradient;
-      const double zone = from_highlight_rad_[i] / (pi / 2) * zones;
+      const double zone = cells_[i].from_highlight_rad / (pi / 2) * zones;
       by_zone_[static_cast<std::size_t>(std::min(zone, zones - 1.0))] += gradient;
     }
   }

@@ -20,8 +20,7 @@ enum class FrameTerms {
 /// The least squares of estimate_frame: turn and boosts for which polarization has no component across the azimuths.
 class FrameFit {
  public:
-  /// from_highlight_rad: of each cell, the angle between its normal and the half vector of light and view.
-  FrameFit(std::vector<PhaseCell> cells, std::vector<double> from_highlight_rad, FrameTerms terms);
+  FrameFit(std::vector<PhaseCell> cells, FrameTerms terms);
 
   /// Iterates from `start` until the frame's corrections vanish.
   StokesFrame solve(const StokesFrame& start, const Context& context);
@@ -48,7 +47,6 @@ class FrameFit {
   void accumulate(const StokesFrame& frame);
 
   std::vector<PhaseCell> cells_;
-  std::vector<double> from_highlight_rad_;
   std::vector<int> parts_;
   FrameTerms terms_;
   std::array<double, 2> scales_{1, 1};  ///< robust scale (squared) of each of the two kinds of residual

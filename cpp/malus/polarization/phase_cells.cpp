@@ -2,7 +2,9 @@
 #include <cmath>
 #include <optional>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/polarization/phase_cells_internal.h"
 
 namespace malus {
@@ -13,45 +15,41 @@ constexpr double smallest_cell_px = 2, usual_cell_px = 4;
 constexpr double min_tan2 = 0.0076;  // 5°
 
 int side_of_cells(const PolarizationState& state) {
-  std::size_t valid = 0;
-  for (const std::uint8_t pixel : state.valid) valid += pixel == static_cast<std::uint8_t>(PixelState::valid);
-  const auto count = static_cast<double>(valid);
+  const auto count = static_cast<double>(std::ranges::count(state.valid, static_cast<std::uint8_t>(PixelState::valid)));
   const double side = std::clamp(std::sqrt(count / wanted_cells), smallest_cell_px, usual_cell_px);
   return static_cast<int>(std::max(side, std::sqrt(count / most_cells)));
 }
 
-/// Mean of the valid pixels of the cell at (u0, v0); nothing if most pixels are not valid or the surface is too flat.
+/// Mean of the valid pixels of a cell; nothing if most pixels are not valid or the surface is too flat.
 std::optional<PhaseCell> cell_at(const PolarizationState& state, const StokesVariances& variances,
-                                 const Pinhole* camera, const Image<float>& normals, int u0, int v0, int side) {
+                                 const Pinhole* camera, const Image<float>& normals, int column, int row, int side) {
   PhaseCell cell;
   Eigen::Vector3d normal_sum = Eigen::Vector3d::Zero(), view_sum = Eigen::Vector3d::Zero();
   double variance_sum = 0;
   int count = 0;
-  for (int v = v0; v < std::min(v0 + side, state.size().height); ++v) {
-    for (int u = u0; u < std::min(u0 + side, state.size().width); ++u) {
-      if (!state.is_valid(u, v)) continue;
-      const Eigen::Vector3d normal(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
-      const RayFrame frame = ray_frame(camera, u, v);
-      if (!(normal.dot(frame.view) > 0.1)) continue;
-      const Slopes here = frame.slopes(normal);
-      const Eigen::Vector3d light = state.stokes(u, v);
-      cell.slopes.p += light[0] * here.p;
-      cell.slopes.q += light[0] * here.q;
-      cell.stokes += light;
-      variance_sum += variances(u, v, light).linear;
-      normal_sum += normal;
-      view_sum += frame.view;
-      ++count;
-    }
-  }
+  for_each_pixel(cell_rect(column, row, side, state.size()), [&](int u, int v) {
+    if (!state.is_valid(u, v)) return;
+    const Eigen::Vector3d normal(normals(u, v, 0), normals(u, v, 1), normals(u, v, 2));
+    const RayFrame frame = ray_frame(camera, u, v);
+    if (!(normal.dot(frame.view) > 0.1)) return;
+    const Slopes here = frame.slopes(normal);
+    const Eigen::Vector3d light = state.stokes(u, v);
+    cell.slopes.p += light[0] * here.p;
+    cell.slopes.q += light[0] * here.q;
+    cell.stokes += light;
+    variance_sum += variances(u, v, light).linear;
+    normal_sum += normal;
+    view_sum += frame.view;
+    ++count;
+  });
   if (2 * count <= side * side || !(cell.stokes[0] > 0)) return std::nullopt;
   cell.slopes.p /= cell.stokes[0];
   cell.slopes.q /= cell.stokes[0];
   if (cell.slopes.tan2() < min_tan2) return std::nullopt;
   cell.variance = variance_sum / (cell.stokes[0] * cell.stokes[0]);
   cell.stokes /= count;
-  cell.u = u0 + 0.5 * (side - 1);
-  cell.v = v0 + 0.5 * (side - 1);
+  cell.u = side * column + 0.5 * (side - 1);
+  cell.v = side * row + 0.5 * (side - 1);
   cell.normal = normal_sum.normalized();
   cell.view = view_sum.normalized();
   return cell;
@@ -62,15 +60,13 @@ std::optional<PhaseCell> cell_at(const PolarizationState& state, const StokesVar
 std::vector<PhaseCell> phase_cells(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                                    const Context& context) {
   require_size(normals, state.size(), "normals");
-  const Size size = state.size();
   const int side = side_of_cells(state);
   const StokesVariances variances(state);
-  std::vector<std::vector<PhaseCell>> rows(static_cast<std::size_t>((size.height + side - 1) / side));
-  parallel_rows(context, static_cast<int>(rows.size()), [&](int row) {
-    for (int u = 0; u < size.width; u += side) {
-      if (const auto cell = cell_at(state, variances, camera, normals, u, row * side, side))
-        rows[static_cast<std::size_t>(row)].push_back(*cell);
-    }
+  const Size count = cells_over(state.size(), side);
+  std::vector<std::vector<PhaseCell>> rows(static_cast<std::size_t>(count.height));
+  parallel_pixels(context, count, [&](int column, int row) {
+    if (const auto cell = cell_at(state, variances, camera, normals, column, row, side))
+      rows[static_cast<std::size_t>(row)].push_back(*cell);
   });
   std::vector<PhaseCell> cells;
   for (const std::vector<PhaseCell>& row : rows) cells.insert(cells.end(), row.begin(), row.end());

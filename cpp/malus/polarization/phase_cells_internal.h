@@ -20,6 +20,7 @@ struct PhaseCell {
   Slopes slopes;                                      ///< of the surface, in the frame of the pixels' rays
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();  ///< of the surface, camera frame
   Eigen::Vector3d view = -Eigen::Vector3d::UnitZ();   ///< from the surface to the camera
+  double from_highlight_rad = 0;  ///< angle between normal and half vector of light and view; set by estimate_frame
 
   /// (s1 + i s2) / s0: its modulus is the degree, half its argument the phase.
   std::complex<double> polarization() const { return {stokes[1] / stokes[0], stokes[2] / stokes[0]}; }

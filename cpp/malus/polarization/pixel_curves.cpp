@@ -31,7 +31,7 @@ std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
 std::size_t index_of(const std::array<double, 2>& pixel, Size size) {
   const auto& [u, v] = pixel;
   if (u >= 0 && v >= 0 && u < size.width && v < size.height)
-    return static_cast<std::size_t>(v) * static_cast<std::size_t>(size.width) + static_cast<std::size_t>(u);
+    return size.index(static_cast<int>(u), static_cast<int>(v));
   std::ostringstream message;
   message << "[polarized].curve_pixels has [" << u << ", " << v << "], expected pixels within the polarized image of "
           << to_string(size) << " pixels";

@@ -12,7 +12,7 @@ Eigen::Vector3d PolarizationState::stokes(int u, int v) const {
 Eigen::Matrix3d PolarizationState::stokes_covariance(const Eigen::Vector3d& s) const {
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero(), scatter = Eigen::Matrix3d::Zero();
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
-    const Eigen::Vector3d row(0.5, 0.5 * std::cos(2 * angles_rad[k]), 0.5 * std::sin(2 * angles_rad[k]));
+    const Eigen::Vector3d row = polarizer_row(angles_rad[k]);
     const double variance = noise.variance(row.dot(s));
     const double weight = weighting == FitWeighting::noise ? exposures[k] / variance : exposures[k];
     const Eigen::Matrix3d outer = weight * row * row.transpose();
@@ -27,8 +27,7 @@ StokesVariances::StokesVariances(const PolarizationState& state) : state_(state)
   if (state.weighting == FitWeighting::noise) return;
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   for (std::size_t k = 0; k < state.angles_rad.size(); ++k) {
-    const double angle = 2 * state.angles_rad[k];
-    angles_.push_back({{0.5, 0.5 * std::cos(angle), 0.5 * std::sin(angle)}});
+    angles_.push_back({polarizer_row(state.angles_rad[k])});
     normal += state.exposures[k] * angles_[k].row * angles_[k].row.transpose();
   }
   const Eigen::Matrix3d inverse = normal.inverse();

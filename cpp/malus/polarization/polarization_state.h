@@ -23,6 +23,11 @@ enum class PixelState : std::uint8_t {
   valid = 255,
 };
 
+/// The intensity behind a polarizer at this angle is the product of this with (s0, s1, s2).
+inline Eigen::Vector3d polarizer_row(double angle_rad) {
+  return {0.5, 0.5 * std::cos(2 * angle_rad), 0.5 * std::sin(2 * angle_rad)};
+}
+
 /// Linear polarization of every pixel. Phase and angles as in docs/conventions.md: counter-clockwise from image +x as
 /// displayed, I(a) = i_un (1 + rho cos 2(a − phi)). All rasters have the size of the undistorted image; NaN outside.
 struct PolarizationState {

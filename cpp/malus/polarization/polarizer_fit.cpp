@@ -8,8 +8,10 @@
 #include <numbers>
 #include <string>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 
 namespace malus {
@@ -71,9 +73,8 @@ class Cells {
   Cells(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated,
         const Context& context)
       : count_(static_cast<Eigen::Index>(images.size())), parts_(parts_per_side * parts_per_side) {
-    std::size_t object = 0;
-    for (const std::uint8_t m : mask) object += m != 0;
-    side_ = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(object) / wanted_cells)), 1, largest_cell_px);
+    const auto object = static_cast<double>(count_of_set(mask));
+    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), 1, largest_cell_px);
     while (fill(images, noise, mask, saturated, context) < fewest_cells && side_ > 1) side_ /= 2;
   }
 
@@ -204,7 +205,7 @@ class Projection {
  public:
   explicit Projection(const Polarizer& polarizer) : polarizer_(polarizer) {
     const Eigen::MatrixX3d rows = polarizer.rows();
-    stokes_from_values_ = rows.completeOrthogonalDecomposition().pseudoInverse();
+    stokes_from_values_ = stokes_of_intensities(rows);
     outside_ = Eigen::MatrixXd::Identity(rows.rows(), rows.rows()) - rows * stokes_from_values_;
   }
 
@@ -403,11 +404,18 @@ void check(std::span<const Image<float>> images, std::span<const double> nominal
 Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains) {
   Eigen::MatrixX3d rows(static_cast<Eigen::Index>(angles_rad.size()), 3);
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
-    const double half = 0.5 * gains[k];
-    rows.row(static_cast<Eigen::Index>(k)) << half, half * std::cos(2 * angles_rad[k]),
-        half * std::sin(2 * angles_rad[k]);
+    const double gain = gains.empty() ? 1 : gains[k];
+    rows.row(static_cast<Eigen::Index>(k)) = gain * polarizer_row(angles_rad[k]).transpose();
   }
   return rows;
+}
+
+Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows) {
+  return rows.completeOrthogonalDecomposition().pseudoInverse();
+}
+
+Eigen::MatrixXd residual_projection(const Eigen::MatrixX3d& rows) {
+  return Eigen::MatrixXd::Identity(rows.rows(), rows.rows()) - rows * stokes_of_intensities(rows);
 }
 
 bool PolarizerFit::is_plausible(const PolarizerOptions& options) const {

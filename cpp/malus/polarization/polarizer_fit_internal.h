@@ -14,8 +14,14 @@ namespace malus {
 /// Smallest number of images whose angles can be found without knowing any.
 inline constexpr std::size_t min_images_for_free_angles = 5;
 
-/// Rows (g, g cos 2a, g sin 2a) / 2 of the images' intensities in (s0, s1, s2), K × 3.
-Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains);
+/// Rows (g, g cos 2a, g sin 2a) / 2 of the images' intensities in (s0, s1, s2), K × 3. Without gains: g = 1.
+Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains = {});
+
+/// (s0, s1, s2) by least squares from intensities with these rows, 3 × K.
+Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows);
+
+/// Projection of intensities with these rows to their residuals from the least-squares sinusoid, K × K.
+Eigen::MatrixXd residual_projection(const Eigen::MatrixX3d& rows);
 
 /// Angles and exposures for which the images fit sinusoids best.
 ///

@@ -66,16 +66,15 @@ inline AffineSlopes slopes_of_height(const Pinhole* camera) {
   return {{0, 0}, {-per_width, 0}, {0, per_height}};
 }
 
-/// Slopes from the derivatives of L = ln z along u and v. The normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v)
-/// has n · view = 1 / |r|, r = the pixel's ray with z = 1, so that P = |r| n · right and Q = |r| n · up are affine.
-inline AffineSlopes slopes_of_log_depth(const Pinhole& camera, double u, double v) {
-  const Eigen::Vector3d ray = camera.ray(u, v);
-  const RayFrame frame = ray_frame(ray);
-  const double length = ray.norm();
-  const auto project = [&](const Eigen::Vector3d& n) {
-    return Slopes{length * n.dot(frame.right), length * n.dot(frame.up)};
-  };
-  return {project({0, 0, -1}), project({camera.fx, 0, camera.cx - u}), project({0, camera.fy, camera.cy - v})};
+/// Slopes from the derivatives of scale · ln z along u and v; `frame` is that of the pixel's ray. With L = ln z, the
+/// normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v) has n · view = 1 / |r|, r = the pixel's ray with z = 1, so
+/// that P = |r| n · right and Q = |r| n · up are affine.
+inline AffineSlopes slopes_of_log_depth(const Pinhole& camera, const RayFrame& frame, double u, double v,
+                                        double scale) {
+  const double length = camera.ray(u, v).norm(), per_derivative = length / scale;
+  const auto project = [&](const Eigen::Vector3d& n) { return Slopes{n.dot(frame.right), n.dot(frame.up)}; };
+  return {project({0, 0, -length}), project(per_derivative * Eigen::Vector3d(camera.fx, 0, camera.cx - u)),
+          project(per_derivative * Eigen::Vector3d(0, camera.fy, camera.cy - v))};
 }
 
 }  // namespace malus

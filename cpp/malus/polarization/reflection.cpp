@@ -1,5 +1,6 @@
 #include "malus/polarization/reflection.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -8,6 +9,7 @@
 #include <vector>
 
 #include "malus/core/cell_values_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -50,7 +52,7 @@ class PooledEvidence {
   PooledEvidence(const PolarizationState& state, const Pinhole* camera, const Image<float>& normals,
                  const ReflectionOptions& options, const Context& context)
       : cell_px_(options.region_px) {
-    const Size cells{(state.size().width + cell_px_ - 1) / cell_px_, (state.size().height + cell_px_ - 1) / cell_px_};
+    const Size cells = cells_over(state.size(), cell_px_);
     Image<Evidence> sums(cells);
     parallel_for(context, static_cast<std::size_t>(cells.height), 1, [&](std::size_t row, std::size_t) {
       const int v0 = static_cast<int>(row) * cell_px_;
@@ -65,20 +67,18 @@ class PooledEvidence {
     const double overall = all.weight > 0 ? all.specular / all.weight : 0.0;
     const double lean = options.region_strength * cell_px_ * cell_px_;
     share_ = Image<float>(cells);
-    for (int y = 0; y < cells.height; ++y) {
-      for (int x = 0; x < cells.width; ++x) {
-        Evidence pooled{lean, lean * overall};
-        for (int dy = -1; dy <= 1; ++dy) {
-          for (int dx = -1; dx <= 1; ++dx) {
-            if (!sums.contains(x + dx, y + dy)) continue;
-            const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
-            const Evidence& cell = sums(x + dx, y + dy);
-            pooled += {tent * cell.weight, tent * cell.specular};
-          }
+    for_each_pixel(cells, [&](int x, int y) {
+      Evidence pooled{lean, lean * overall};
+      for (int dy = -1; dy <= 1; ++dy) {
+        for (int dx = -1; dx <= 1; ++dx) {
+          if (!sums.contains(x + dx, y + dy)) continue;
+          const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
+          const Evidence& cell = sums(x + dx, y + dy);
+          pooled += {tent * cell.weight, tent * cell.specular};
         }
-        share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
       }
-    }
+      share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
+    });
   }
 
   double specular_share(int u, int v) const { return between_cells(share_, cell_px_, u, v); }
@@ -144,17 +144,8 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
   map.label = Image<std::uint8_t>(state.size());
   map.zenith = Image<float>(state.size(), 1, std::numeric_limits<float>::quiet_NaN());
   const double brewster_slope = options.refractive_index;  // tan of Brewster's angle
-  struct Counts {
-    std::size_t labeled = 0, specular = 0, clamped = 0;
-    Counts& operator+=(const Counts& other) {
-      labeled += other.labeled;
-      specular += other.specular;
-      clamped += other.clamped;
-      return *this;
-    }
-  };
   const auto label_rows = [&](std::size_t begin, std::size_t end) {
-    Counts counts;
+    std::size_t clamped = 0;
     for (int v = static_cast<int>(begin); v < static_cast<int>(end); ++v) {
       for (int u = 0; u < state.size().width; ++u) {
         if (!state.is_valid(u, v)) continue;
@@ -171,15 +162,18 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
         const auto zenith = zenith_of(label, state.rho(u, v), options.refractive_index, branch);
         map.label(u, v) = static_cast<std::uint8_t>(label);
         map.zenith(u, v) = static_cast<float>(zenith.zenith_rad);
-        counts += {1, label == Reflection::specular ? 1u : 0u, zenith.clamped ? 1u : 0u};
+        clamped += zenith.clamped ? 1 : 0;
       }
     }
-    return counts;
+    return clamped;
   };
-  const Counts counts = parallel_sum(context, static_cast<std::size_t>(state.size().height), 16, Counts{}, label_rows);
-  if (counts.labeled > 0) {
-    map.specular_share = static_cast<double>(counts.specular) / static_cast<double>(counts.labeled);
-    map.clamped_share = static_cast<double>(counts.clamped) / static_cast<double>(counts.labeled);
+  const std::size_t clamped =
+      parallel_sum(context, static_cast<std::size_t>(state.size().height), 16, std::size_t{0}, label_rows);
+  const auto labeled = static_cast<double>(count_of_set(map.label));
+  if (labeled > 0) {
+    const auto specular = std::ranges::count(map.label, static_cast<std::uint8_t>(Reflection::specular));
+    map.specular_share = static_cast<double>(specular) / labeled;
+    map.clamped_share = static_cast<double>(clamped) / labeled;
   }
   return map;
 }

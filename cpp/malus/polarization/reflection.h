@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <numbers>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
@@ -14,6 +15,11 @@ namespace malus {
 
 /// Which reflection governs the polarization of a pixel; the values of ReflectionMap::label.
 enum class Reflection : std::uint8_t { outside = 0, diffuse = 1, specular = 2 };
+
+/// Azimuth of a normal whose polarization has this phase.
+inline double azimuth_of(Reflection reflection, double phase_rad) {
+  return reflection == Reflection::specular ? phase_rad + std::numbers::pi / 2 : phase_rad;
+}
 
 /// Labels and zeniths of a station.
 struct ReflectionMap {

@@ -35,15 +35,13 @@ void apply_frame(PolarizationState& state, const StokesFrame& frame, const Conte
     const Eigen::RowVector3d row = Eigen::RowVector3d(1, std::cos(2 * angle), std::sin(2 * angle)) * inverse;
     angle = 0.5 * std::atan2(row[2], row[1]);
   }
-  parallel_rows(context, state.size().height, [&](int v) {
-    for (int u = 0; u < state.size().width; ++u) {
-      if (!std::isfinite(state.i_un(u, v))) continue;
-      const Eigen::Vector3d stokes = frame * state.stokes(u, v);
-      const double linear = std::hypot(stokes[1], stokes[2]);
-      state.i_un(u, v) = static_cast<float>(0.5 * stokes[0]);
-      state.rho(u, v) = stokes[0] > 0 ? static_cast<float>(std::min(linear / stokes[0], 1.0)) : 0.0f;
-      state.phi(u, v) = phase_of(stokes);
-    }
+  parallel_pixels(context, state.size(), [&](int u, int v) {
+    if (!std::isfinite(state.i_un(u, v))) return;
+    const Eigen::Vector3d stokes = frame * state.stokes(u, v);
+    const double linear = std::hypot(stokes[1], stokes[2]);
+    state.i_un(u, v) = static_cast<float>(0.5 * stokes[0]);
+    state.rho(u, v) = stokes[0] > 0 ? static_cast<float>(std::min(linear / stokes[0], 1.0)) : 0.0f;
+    state.phi(u, v) = phase_of(stokes);
   });
 }
 

@@ -1,7 +1,7 @@
 #include <Eigen/QR>
-#include <cmath>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/unpolarized_internal.h"
 
 namespace malus {
@@ -13,20 +13,14 @@ Image<float> unpolarized_intensity(const std::vector<Image<float>>& images, cons
                       std::to_string(angles_rad.size()) + " angles, expected three or more of each");
   }
   for (const Image<float>& image : images) require_size(image, images.front().size(), "polarized image");
-  Eigen::MatrixX3d sinusoid(static_cast<Eigen::Index>(images.size()), 3);
-  for (std::size_t k = 0; k < angles_rad.size(); ++k) {
-    sinusoid.row(static_cast<Eigen::Index>(k)) << 1, std::cos(2 * angles_rad[k]), std::sin(2 * angles_rad[k]);
-  }
-  const Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixX3d> solver(sinusoid);
+  const Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixX3d> solver(2 * polarizer_rows(angles_rad));
   if (solver.rank() < 3) throw input_error("unpolarized intensity: the polarizer angles do not determine the sinusoid");
   const Eigen::VectorXd weights = solver.pseudoInverse().row(0);
   Image<float> intensity(images.front().size());
-  parallel_rows(context, intensity.height(), [&](int v) {
-    for (int u = 0; u < intensity.width(); ++u) {
-      double sum = 0;
-      for (std::size_t k = 0; k < images.size(); ++k) sum += weights[static_cast<Eigen::Index>(k)] * images[k](u, v);
-      intensity(u, v) = static_cast<float>(sum);
-    }
+  parallel_pixels(context, intensity.size(), [&](int u, int v) {
+    double sum = 0;
+    for (std::size_t k = 0; k < images.size(); ++k) sum += weights[static_cast<Eigen::Index>(k)] * images[k](u, v);
+    intensity(u, v) = static_cast<float>(sum);
   });
   return intensity;
 }

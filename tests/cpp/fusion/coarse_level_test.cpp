@@ -27,10 +27,10 @@ TEST(CoarseLevel, ShowsTheSameSurfaceAtALargerGsd) {
   // Every other node of the fine image is a node of the coarse image.
   EXPECT_NEAR(coarse.depth_of(coarse.x(7, 9)), fine.depth_of(fine.x(14, 18)), 1e-9);
   EXPECT_NEAR(coarse.x(8, 9) - coarse.x(7, 9), (fine.x(16, 18) - fine.x(14, 18)) / 2, 1e-9);
-  const auto variance = [&](int u, int v) { return fine.source->at(u, v).variance; };
-  EXPECT_NEAR(coarse.source->at(7, 9).prior_sigma, fine.source->at(14, 18).prior_sigma / 2, 1e-3);
-  EXPECT_NEAR(coarse.source->at(7, 9).variance, variance(14, 18) / 4, 0.01 * variance(14, 18));
-  EXPECT_NEAR(coarse.source->at(10, 5).variance, variance(20, 11) / 3, 0.01 * variance(20, 11));
+  const auto variance = [&](int u, int v) { return fine.source(u, v).variance; };
+  EXPECT_NEAR(coarse.source(7, 9).prior_sigma, fine.source(14, 18).prior_sigma / 2, 1e-3);
+  EXPECT_NEAR(coarse.source(7, 9).variance, variance(14, 18) / 4, 0.01 * variance(14, 18));
+  EXPECT_NEAR(coarse.source(10, 5).variance, variance(20, 11) / 3, 0.01 * variance(20, 11));
   EXPECT_NE(coarse.object(15, 15), 0);
 }
 

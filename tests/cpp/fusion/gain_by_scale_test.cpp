@@ -30,7 +30,7 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
                             const ReflectionModel& model = matte_scene().model, double texture = 0) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   image.reflection = model;
   RefinementField field = image.part(image.everything(), Context{});
   field.stokes_precision.fill(1e4);
@@ -45,8 +45,8 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) {
       if (!field.usable(u, v)) continue;
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes light = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes light = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       field.s1(u, v) = static_cast<float>(light.s1 + gauss(random));
       field.s2(u, v) = static_cast<float>(light.s2 + gauss(random));
       if (model.metal_error > 0) field.s0(u, v) = static_cast<float>(light.mirrored * (1 + texture * gauss(random)));

@@ -32,7 +32,7 @@ RefinementField rough_field(Reflection kind, const ReflectionModel& model = usua
     station.state.valid(u, v) = 0;
   const RefinementImage image = make_image(station.state, station.prior, Context{});
   RefinementField field = image.part(image.everything(), Context{});
-  field.kind.fill(static_cast<std::uint8_t>(kind));
+  field.kind.fill(kind);
   field.reflection = options.model;
   field.shading << 0.3, 0.1, -0.2, -0.6, 0.05, -0.1, 0.07, 0.04, -0.03;
   std::mt19937 random(5);
@@ -97,7 +97,7 @@ std::vector<std::unique_ptr<QuadCost>> all_costs(const RefinementField& field, M
   std::vector<std::unique_ptr<QuadCost>> costs;
   for (int row = 0; 2 * row < field.size().height; ++row) {
     for (int column = 0; 2 * column < field.size().width; ++column) {
-      if (quad_has_object(field, {column, row})) make(QuadIndex{column, row}, costs);
+      if (nodes_on_object(field, {column, row}) > 0) make(QuadIndex{column, row}, costs);
     }
   }
   return costs;
@@ -177,7 +177,7 @@ TEST(CentralSlopes, AreExactForAParaboloidAndIgnoreACheckerboard) {
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) field.x(u, v) = height(u - 0.5, v - 0.5) + ((u + v) % 2 == 0 ? 1 : -1);
   }
-  const Eigen::Vector2d gradient = central_gradient(field, 12, 7);
+  const Eigen::Vector2d gradient = central_gradient(field, field.x, 12, 7);
   EXPECT_NEAR(gradient[0], 0.3 + 0.04 * 12 - 0.03 * 7, 1e-12);
   EXPECT_NEAR(gradient[1], -0.2 - 0.03 * 12 + 0.02 * 7, 1e-12);
 }

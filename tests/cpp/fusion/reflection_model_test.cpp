@@ -7,10 +7,10 @@
 #include <random>
 
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/ray_slopes_internal.h"
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/polarization/fresnel.h"
+#include "malus/polarization/ray_frame.h"
 
 namespace malus {
 namespace {
@@ -49,7 +49,7 @@ TEST(FresnelFactors, StayFiniteAtGrazingView) {
   EXPECT_EQ(f.diffuse_slope, 0);
 }
 
-TEST(RaySlopes, AreThoseOfAPlaneSeenInPerspective) {
+TEST(SlopesOfLogDepth, AreThoseOfAPlaneSeenInPerspective) {
   const Eigen::Vector3d normal = Eigen::Vector3d(0.3, -0.2, -1).normalized();
   const auto log_depth = [&](double u, double v) {
     return std::log(-700.0 / normal.dot(unequal_focal_camera.ray(u, v)));
@@ -60,14 +60,14 @@ TEST(RaySlopes, AreThoseOfAPlaneSeenInPerspective) {
       const double xu = f * (log_depth(u + h, v) - log_depth(u - h, v)) / (2 * h);
       const double xv = f * (log_depth(u, v + h) - log_depth(u, v - h)) / (2 * h);
       const RayFrame frame = ray_frame(&unequal_focal_camera, u, v);
-      const RaySlopes slopes = ray_slopes(unequal_focal_camera, u, v);
-      EXPECT_NEAR(slopes.p(xu, xv), normal.dot(frame.right) / normal.dot(frame.view), 1e-6);
-      EXPECT_NEAR(slopes.q(xu, xv), normal.dot(frame.up) / normal.dot(frame.view), 1e-6);
+      const Slopes slopes = slopes_of_log_depth(unequal_focal_camera, frame, u, v, f)(xu, xv);
+      EXPECT_NEAR(slopes.p, normal.dot(frame.right) / normal.dot(frame.view), 1e-6);
+      EXPECT_NEAR(slopes.q, normal.dot(frame.up) / normal.dot(frame.view), 1e-6);
     }
   }
 }
 
-TEST(RaySlopes, FrameIsRightHandedWithUpAgainstV) {
+TEST(SlopesOfLogDepth, FrameIsRightHandedWithUpAgainstV) {
   const RayFrame frame = ray_frame(&unequal_focal_camera, 500, 100);
   EXPECT_NEAR((frame.right.cross(frame.up) - frame.view).norm(), 0, 1e-14);
   EXPECT_LT(frame.up.y(), 0);
@@ -182,7 +182,7 @@ TEST(PixelReflection, HighlightIsPolarizedAboutTheHalfVector) {
   EXPECT_GT(std::hypot(m.s1, m.s2), 0);
   EXPECT_NEAR(std::cos(std::atan2(m.s2, m.s1) - 2 * half_azimuth), -1, 1e-9);
   const Eigen::Vector3d half = (model.lobe.light + frame.view).normalized();
-  EXPECT_NEAR((normal_of(frame, lobe.hp, lobe.hq) - half).norm(), 0, 1e-12);
+  EXPECT_NEAR((frame.normal({lobe.hp, lobe.hq}) - half).norm(), 0, 1e-12);
 }
 
 TEST(LobeAtPixel, LightFromBehindGivesNoReflection) {

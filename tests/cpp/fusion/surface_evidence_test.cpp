@@ -128,7 +128,7 @@ TEST(Evidence, IsWeighedRegionByRegion) {
 
 /// The image as a diffuse body under the scene's light.
 RefinementField diffuse_field(RefinementImage& image) {
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   image.reflection = scene_under_a_sky().model;
   return image.part(image.everything(), Context{});
 }
@@ -138,8 +138,8 @@ template <class Factor>
 void measure(RefinementField& field, Factor factor) {
   for (int v = 0; v < field.size().height; ++v) {
     for (int u = 0; u < field.size().width; ++u) {
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       field.s1(u, v) = factor(u, v) * static_cast<float>(model.s1);
       field.s2(u, v) = factor(u, v) * static_cast<float>(model.s2);
     }

@@ -45,12 +45,12 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
     }
   }
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   RefinementField field = image.part(image.everything(), Context{});
   for (int v = 0; v < sigma_size.height; ++v) {
     for (int u = first_column; u < sigma_size.width; ++u) {
-      const Eigen::Vector2d slopes = central_slopes(field, u, v);
-      const PredictedStokes model = field.reflection_at(u, v).predict(slopes[0], slopes[1]);
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes model = field.reflection_at(u, v).predict(slopes.p, slopes.q);
       field.s1(u, v) = static_cast<float>(model.s1);
       field.s2(u, v) = static_cast<float>(model.s2);
     }
@@ -58,7 +58,7 @@ Image<float> sigma_of(const Shape& shape, const PriorErrors& errors, std::uint8_
   update_weights(field, {}, Context{});
   Image<float> sigma = surface_sigma(field, Image<std::uint8_t>(field.size(), 1, trust), errors, Context{});
   for (std::size_t i = 0; i < sigma.count(); ++i) {
-    if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.focal);
+    if (field.object[i]) sigma[i] /= static_cast<float>(field.depth_of(field.x[i]) / field.camera.focal());
   }
   return sigma;
 }

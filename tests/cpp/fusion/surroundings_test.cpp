@@ -185,7 +185,7 @@ TEST(Surroundings, BodyShadingIsFittedWithoutTheMirroredLight) {
   std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const Eigen::Vector3d light = Eigen::Vector3d(0.9, -0.1, -0.4).normalized();
   const auto lit = [&](const ReflectionSample& s) {
-    return 0.05 + 0.5 * std::max(normal_of(s.frame, s.p, s.q).dot(light), 0.0);
+    return 0.05 + 0.5 * std::max(s.frame.normal({s.p, s.q}).dot(light), 0.0);
   };
   for (ReflectionSample& s : samples) s.s0 = lit(s) + table.at(s.p, s.q, s.frame).stokes[0];
   const ShadingHarmonics shading = fit_body_shading(samples, model);
@@ -318,7 +318,7 @@ TEST(Surroundings, DoNotFollowASlowBendOfTheSurface) {
   scene.model.mirrored = truth;
   const SyntheticStation station = make_station(scene);
   RefinementImage image = make_image(station.state, station.prior, Context{});
-  image.kind.fill(static_cast<std::uint8_t>(Reflection::diffuse));
+  image.kind.fill(Reflection::diffuse);
   MapCourse held{{1.5}};
   held.slow_px = 8;
   held.x_prior = image.x;

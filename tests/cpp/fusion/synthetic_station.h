@@ -5,10 +5,10 @@
 
 #include "malus/core/depth_normals_internal.h"
 #include "malus/fusion/fresnel_factors_internal.h"
-#include "malus/fusion/ray_slopes_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_internal.h"
 #include "malus/polarization/polarization_state.h"
+#include "malus/polarization/ray_frame.h"
 #include "malus/prior/depth_prior.h"
 
 namespace malus {

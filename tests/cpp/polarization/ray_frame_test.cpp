@@ -34,9 +34,10 @@ TEST(RayFrame, SlopesAreAffineInTheLogDepth) {
   const Eigen::Vector3d normal = Eigen::Vector3d(0.3, 0.5, -1).normalized();
   for (const auto& [u, v] : {std::pair{20.0, 30.0}, {600.0, 100.0}, {310.0, 470.0}}) {
     const double dot = normal.dot(frame_camera.ray(u, v));
-    const Slopes actual = slopes_of_log_depth(frame_camera, u, v)(-normal.x() / frame_camera.fx / dot,
-                                                                  -normal.y() / frame_camera.fy / dot);
-    const Slopes expected = ray_frame(&frame_camera, u, v).slopes(normal);
+    const RayFrame frame = ray_frame(&frame_camera, u, v);
+    const AffineSlopes slopes = slopes_of_log_depth(frame_camera, frame, u, v, 1);
+    const Slopes actual = slopes(-normal.x() / frame_camera.fx / dot, -normal.y() / frame_camera.fy / dot);
+    const Slopes expected = frame.slopes(normal);
     EXPECT_NEAR(actual.p, expected.p, 1e-12);
     EXPECT_NEAR(actual.q, expected.q, 1e-12);
   }
