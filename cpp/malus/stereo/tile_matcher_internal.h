@@ -7,7 +7,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
-#include "malus/prior/smoothing_spline_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/photo_cells_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 
