@@ -86,17 +86,14 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
 
 void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelRect inner, const PassSettings& settings,
                 const Context& context, PassResult& result) {
-  const int margin = settings.regularize ? run_in : 0;
-  const PixelRect tile = inner.grown(margin, level.mask.size());
+  const PixelRect tile = inner.grown(run_in, level.mask.size());
   TileMatcher matcher(level, tile, log_depth, settings.match);
   if (matcher.views() == 0) return;
   const auto width = static_cast<std::size_t>(tile.width()), height = static_cast<std::size_t>(tile.height());
   const auto labels = static_cast<std::size_t>(2 * settings.half_count + 1);
   const TileCosts costs = tile_costs(matcher, settings, width * height, context);
   std::vector<float> aggregated = costs.all;
-  if (settings.regularize) {
-    aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
-  }
+  aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
   for (int v = inner.v0; v < inner.v1; ++v) {
     for (int u = inner.u0; u < inner.u1; ++u) {
       const std::size_t i = static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
