@@ -31,7 +31,7 @@ double spacing_of(const PointJudgement& judgement, int neighbors, const Context&
 }  // namespace
 
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
-                             const VisibilityOptions& options, const Context& context) {
+                             const PriorOptions& options, const Context& context) {
   if (!cloud.normals.empty() && cloud.normals.size() != cloud.points.size()) {
     throw input_error("prior cloud: " + std::to_string(cloud.normals.size()) +
                       " normals, expected none or one for each of " + std::to_string(cloud.points.size()) + " points");
