@@ -69,13 +69,13 @@ NAMELESS = (
     ("prior/project_prior.cpp", "plane_rounds", "round < «8»; ++round"),
     ("prior/point_judgement.cpp", "one_sided", "direction.norm() < «0.6» *"),
     ("stereo/first_surface.cpp", "range_of_sigma", "std::max(«5» * quantile"),
-    ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile(residuals"),
+    ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile_in_place(residuals"),
     ("stereo/view_choice.cpp", "much_less_parallax", "parallax < «0.25» * least"),
-    ("stereo/surface_sweep.cpp", "coarse_sweep", "constexpr std::array coarse_sweeps{Sweep{«0.5», «6», true, «1.0»}};"),
+    ("stereo/surface_sweep.cpp", "coarse_sweep", "constexpr std::array coarse_sweeps{Sweep{«0.5», «6», «1.0»}};"),
     (
         "stereo/surface_sweep.cpp",
         "finest_sweep",
-        "constexpr std::array finest_sweeps{Sweep{«0.75», «2», true, «1.0»}, Sweep{«0.25», «2», true, «1.75»}};",
+        "constexpr std::array finest_sweeps{Sweep{«0.75», «2», «1.0»}, Sweep{«0.25», «2», «1.75»}};",
     ),
 )
 # Arrays of numbers; all numbers of an array are varied together.
