@@ -83,13 +83,11 @@ class ProjectedCloud {
   }
 
   double median_depth(const Context& context) const {
-    const auto depths = [this](std::size_t begin, std::size_t end, float* values) {
-      for (std::size_t i = begin; i < end; ++i) {
-        const bool filled = i % block_size < starts_[i / block_size].back();
-        values[i - begin] = filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
-      }
+    const auto depth = [this](std::size_t i) {
+      const bool filled = i % block_size < starts_[i / block_size].back();
+      return filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
     };
-    RankedValues ranked(points_.size(), depths, context);
+    RankedValues ranked(points_.size(), depth, context);
     return ranked.at(std::array{ranked.size() / 2}).front();
   }
 

@@ -25,9 +25,8 @@ void for_strips(const MeshInStrips& mesh, const Context& context, Visit&& visit)
 
 double median_gsd(const FusedSurface& surface, const Context& context) {
   const Image<float>& depth = surface.depth;
-  const auto usable = [&depth](std::size_t begin, std::size_t end, float* to) {
-    std::transform(depth.data() + begin, depth.data() + end, to,
-                   [](float z) { return z > 0 ? z : std::numeric_limits<float>::quiet_NaN(); });
+  const auto usable = [&depth](std::size_t i) {
+    return depth[i] > 0 ? depth[i] : std::numeric_limits<float>::quiet_NaN();
   };
   RankedValues depths(depth.count(), usable, context);
   return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
