@@ -1,7 +1,9 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -24,6 +26,17 @@ T quantile_in_place(std::vector<T>& values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
+}
+
+/// Percentile, linear between order statistics; NaN if there are no values. Reorders the values.
+inline double percentile_in_place(std::vector<double>& values, double fraction) {
+  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const double rank = fraction * static_cast<double>(values.size() - 1);
+  const auto lower = values.begin() + static_cast<std::ptrdiff_t>(rank);
+  std::nth_element(values.begin(), lower, values.end());
+  const double part = rank - std::floor(rank);
+  if (part == 0) return *lower;
+  return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
 }
 
 /// The same as `median_in_place` for a copy, or for values that are moved in.

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/surface/plane_internal.h"
@@ -45,15 +46,12 @@ Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vecto
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
-/// 1.4826 × median of |distance|; the median of an even number of values is the mean of the two middle ones.
+/// 1.4826 × median of |distance|.
 double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
   std::vector<double> distances(points.size());
   std::transform(points.begin(), points.end(), distances.begin(),
                  [&](const Eigen::Vector3d& x) { return std::abs(plane.signed_distance(x)); });
-  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
-  std::nth_element(distances.begin(), middle, distances.end());
-  if (distances.size() % 2 == 1) return deviation_per_median * *middle;
-  return deviation_per_median * 0.5 * (*middle + *std::max_element(distances.begin(), middle));
+  return deviation_per_median * percentile_in_place(distances, 0.5);
 }
 
 Plane robust_plane(std::span<const Eigen::Vector3d> points, Plane plane, const Context& context) {
