@@ -28,8 +28,7 @@ TEST(RankedValues, AgreeWithSortingWithAnyNumberOfThreads) {
   const std::array ranks{std::size_t{0},        sorted.size() - 1, sorted.size() / 2,
                          sorted.size() / 2 + 1, std::size_t{1234}, sorted.size() * 95 / 100};
   for (const int threads : {1, 3}) {
-    Context context;
-    context.threads = threads;
+    const Context context{.threads = threads};
     RankedValues ranked = ranked_of(values, context);
     ASSERT_EQ(ranked.size(), sorted.size());
     const std::vector<float> found = ranked.at(ranks);

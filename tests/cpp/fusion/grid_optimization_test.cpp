@@ -153,8 +153,7 @@ TEST(GridOptimization, ReportsTheIterationLimit) {
 }
 
 TEST(GridOptimization, OneAndTwoThreadsAgree) {
-  Context two;
-  two.threads = 2;
+  const Context two{.threads = 2};
   const Scene scene;
   EXPECT_EQ(scene.optimized({}).depth, scene.optimized({}, two).depth);
 }
