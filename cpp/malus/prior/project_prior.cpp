@@ -112,13 +112,6 @@ class ReferencePlane {
   Eigen::Vector3d plane_;
 };
 
-bool has_object(const Mask& mask, PixelRect box) {
-  for (int v = box.v0; v < box.v1; ++v) {
-    if (std::any_of(mask.row(v) + box.u0, mask.row(v) + box.u1, [](std::uint8_t m) { return m != 0; })) return true;
-  }
-  return false;
-}
-
 /// Share of object pixels farther than `distance_px` from every point.
 double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double distance_px) {
   Mask free(mask.size(), 1, 1);
@@ -243,7 +236,8 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
       fits[i].reset();
       if (tile >= tiles) return;
       const PixelRect area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-      if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
+      const bool has_object = bounding_box(mask, area).height() > 0;
+      if (has_object) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
     });
     for (std::size_t i = 0; i < fits.size(); ++i) {
       if (!fits[i]) continue;

@@ -39,7 +39,8 @@ std::vector<float> point_scores(const std::vector<StationPoint>& points, const M
     for (std::size_t k = begin; k < end; ++k) {
       const StationPoint& point = points[k];
       const PixelRect pixel{point.u, point.v, point.u + 1, point.v + 1};
-      TileMatcher matcher(level, pixel, static_cast<float>(point.log_depth), settings);
+      const auto base = [&](int, int) { return static_cast<float>(point.log_depth); };
+      TileMatcher matcher(level, pixel, base, settings);
       if (matcher.views() == 0) continue;
       TileMatcher::Scores found;
       matcher.prepare(0, 1e-3F);

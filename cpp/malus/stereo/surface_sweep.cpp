@@ -349,10 +349,8 @@ class SurfaceSweep {
   bool leave_out_highlights() {
     Image<float> surface = pass_.log_depth;
     fill_gaps(surface, level_.mask, context_);
-    const auto halved_photo = [&](std::size_t view) { return photos_.halved_photo(view, context_); };
-    // A photo from behind shows another surface where this one would be.
-    const Mask shines = find_highlights(input_, level_.reference, views_, photos_.seeing(), halved_photo, surface,
-                                        match_settings().radius + 1, context_);
+    const Mask shines =
+        find_highlights(level_.reference, level_.mask, photos_, surface, match_settings().radius + 1, context_);
     double count = 0, of = 0;
     for (std::size_t i = 0; i < shines.count(); ++i) {
       if (level_.mask[i] == 0) continue;
