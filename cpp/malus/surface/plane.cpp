@@ -1,4 +1,5 @@
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -13,36 +14,23 @@ namespace {
 
 constexpr std::size_t grain = 1 << 15;
 
-struct Moments {
-  double weight = 0;
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d products = Eigen::Matrix3d::Zero();
-
-  Moments& operator+=(const Moments& other) {
-    weight += other.weight;
-    sum += other.sum;
-    products += other.products;
-    return *this;
-  }
-};
-
 /// Weighted plane; coordinates are relative to `origin`, near the points, so that sums keep their digits.
 template <class Weight>
 Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& origin, const Context& context,
                      Weight&& weight_of) {
-  const auto moments = parallel_sum(context, points.size(), grain, Moments{}, [&](std::size_t begin, std::size_t end) {
-    Moments part;
-    for (std::size_t i = begin; i < end; ++i) {
-      const double weight = weight_of(points[i]);
-      const Eigen::Vector3d x = points[i] - origin;
-      part.weight += weight;
-      part.sum += weight * x;
-      part.products += weight * x * x.transpose();
-    }
-    return part;
-  });
-  const Eigen::Vector3d mean = moments.sum / moments.weight;
-  const Eigen::Matrix3d covariance = moments.products / moments.weight - mean * mean.transpose();
+  const Eigen::Matrix4d zero = Eigen::Matrix4d::Zero();
+  // Of homogeneous coordinates: products of the coordinates, beside them their sums, and in the corner the weight.
+  const Eigen::Matrix4d moments =
+      parallel_sum(context, points.size(), grain, zero, [&](std::size_t begin, std::size_t end) {
+        Eigen::Matrix4d part = Eigen::Matrix4d::Zero();
+        for (std::size_t i = begin; i < end; ++i) {
+          const Eigen::Vector4d x = (points[i] - origin).homogeneous();
+          part += weight_of(points[i]) * x * x.transpose();
+        }
+        return part;
+      });
+  const Eigen::Vector3d mean = moments.topRightCorner<3, 1>() / moments(3, 3);
+  const Eigen::Matrix3d covariance = moments.topLeftCorner<3, 3>() / moments(3, 3) - mean * mean.transpose();
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
