@@ -351,15 +351,13 @@ class SurfaceSweep {
     fill_gaps(surface, level_.mask, context_);
     const Mask shines =
         find_highlights(level_.reference, level_.mask, photos_, surface, match_settings().radius + 1, context_);
-    double count = 0, of = 0;
+    double count = 0;
     for (std::size_t i = 0; i < shines.count(); ++i) {
-      if (level_.mask[i] == 0) continue;
-      ++of;
-      if (shines[i] == 0) continue;
+      if (level_.mask[i] == 0 || shines[i] == 0) continue;
       ++count;
       pass_.log_depth[i] = std::numeric_limits<float>::quiet_NaN();
     }
-    result_.highlights = count / of;
+    result_.highlights = count / static_cast<double>(count_of_set(level_.mask));
     return count > 0;
   }
 
