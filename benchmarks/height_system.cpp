@@ -43,8 +43,7 @@ int main(int count, char** arguments) {
   }
   const int side = std::stoi(arguments[1]);
   const std::string solver = arguments[3];
-  Context context;
-  context.threads = std::stoi(arguments[2]);
+  const Context context{.threads = std::stoi(arguments[2])};
   const PixelIndex pixels(Mask({side, side}, 1, 1));
   GridSystem system(pixels);
   add_height_like_rows(system);

@@ -67,8 +67,7 @@ int main(int count, char** arguments) {
   }
   const int side = std::stoi(arguments[1]);
   const std::filesystem::path folder = arguments[2];
-  Context context;
-  context.threads = std::stoi(arguments[3]);
+  const Context context{.threads = std::stoi(arguments[3])};
   const TriangleMesh mesh = make_mesh(side);
   const Image<std::uint8_t> photograph({256, 256}, 1, 128);
   const Pinhole camera{{256, 256}, 1000, 1000, 128, 128};

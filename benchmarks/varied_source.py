@@ -27,7 +27,7 @@ NO_CHOICE = "no choice: a mark, the limit of a type, or part of a formula"
 LEFT = {
     "outside": NO_CHOICE, "infinite": NO_CHOICE, "largest_code": NO_CHOICE, "usual_index": NO_CHOICE, "weighted_gaussian_variance": DERIVED,
     "refine.cpp:half": NO_CHOICE, "delta": NO_CHOICE, "reflection_model.cpp:half": NO_CHOICE,
-    "block_size": SPEED, "batch_size": SPEED, "grain": SPEED, "band_rows": SPEED, "points_at_once": SPEED, "batch": SPEED, "pixels_at_once": SPEED,
+    "block_size": SPEED, "batch_size": SPEED, "bands_at_once": SPEED, "grain": SPEED, "band_rows": SPEED, "points_at_once": SPEED, "batch": SPEED, "pixels_at_once": SPEED,
     "strip_rows": SPEED, "chunk": SPEED, "few_offsets": SPEED, "tile_side": SPEED, "tile_side_of_few": SPEED, "surface_sweep.cpp:most": NO_CHOICE,
     "neighbor_search.cpp:bins": SPEED,
     "quad_px": LAYOUT, "quad_values": LAYOUT, "prior_block_px": LAYOUT, "node_count": LAYOUT, "bins": LAYOUT, "tries": LAYOUT, "cells": LAYOUT,
@@ -68,13 +68,13 @@ NAMELESS = (
     ("prior/project_prior.cpp", "plane_rounds", "round < «8»; ++round"),
     ("prior/point_judgement.cpp", "one_sided", "direction.norm() < «0.6» *"),
     ("stereo/first_surface.cpp", "range_of_sigma", "std::max(«5» * quantile"),
-    ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile(residuals"),
+    ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile_in_place(residuals"),
     ("stereo/view_choice.cpp", "much_less_parallax", "parallax < «0.25» * least"),
-    ("stereo/surface_sweep.cpp", "coarse_sweep", "constexpr std::array coarse_sweeps{Sweep{«0.5», «6», true, «1.0»}};"),
+    ("stereo/surface_sweep.cpp", "coarse_sweep", "constexpr std::array coarse_sweeps{Sweep{«0.5», «6», «1.0»}};"),
     (
         "stereo/surface_sweep.cpp",
         "finest_sweep",
-        "constexpr std::array finest_sweeps{Sweep{«0.75», «2», true, «1.0»}, Sweep{«0.25», «2», true, «1.75»}};",
+        "constexpr std::array finest_sweeps{Sweep{«0.75», «2», «1.0»}, Sweep{«0.25», «2», «1.75»}};",
     ),
 )
 # Arrays of numbers; all numbers of an array are varied together.

@@ -55,8 +55,7 @@ int main(int count, char** arguments) {
   const Size size{std::stoi(arguments[2]), std::stoi(arguments[3])};
   const Pinhole camera{size, 2.0 * size.width, 2.0 * size.width, 0.5 * size.width, 0.5 * size.height};
   const PointCloud cloud = make_cloud(static_cast<std::size_t>(1e6 * std::stod(arguments[1])), camera);
-  Context context;
-  context.threads = std::stoi(arguments[4]);
+  const Context context{.threads = std::stoi(arguments[4])};
   const double processor_start = processor_seconds();
   const auto start = std::chrono::steady_clock::now();
   const VisiblePoints visible = visible_points(cloud, camera, {}, Mask(size, 1, 255), {}, context);

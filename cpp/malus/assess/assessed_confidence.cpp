@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <optional>
@@ -13,21 +12,14 @@
 namespace malus {
 namespace {
 
-/// Median standard deviation of the depth; NaN if there is none.
-double median_sigma(const Image<float>& sigma, const Context& context) {
-  const auto values = [&sigma](std::size_t begin, std::size_t end, float* to) {
-    std::copy(sigma.data() + begin, sigma.data() + end, to);
-  };
-  return percentiles({sigma.count(), values, context}, 1, {0.5})[0];
-}
-
 // A figure that is missing or NaN proves nothing: the comparisons below are written so that NaN fails them.
 
 /// A surface with a large standard deviation has no reliable detail.
 void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const Context& context) {
   constexpr double unknown_gsd = 10;
-  const double median_gsd =
-      median_sigma(surface.sigma, context) / ground_sampling_distance(surface.depth, surface.camera, context);
+  const auto sigma = [&](std::size_t i) { return surface.sigma[i]; };
+  const double median_gsd = percentiles({surface.sigma.count(), sigma, context}, 1, {0.5})[0] /
+                            ground_sampling_distance(surface.depth, surface.camera, context);
   if (std::isnan(median_gsd)) {
     confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
   } else if (!(median_gsd <= unknown_gsd)) {

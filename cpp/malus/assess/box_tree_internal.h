@@ -34,9 +34,6 @@ class BoxTree {
     for (std::size_t i = node(depth_, 0); i-- > 0;) boxes_[i] = boxes_[2 * i + 1].merged(boxes_[2 * i + 2]);
   }
 
-  /// Bounding box of all primitives.
-  const Eigen::AlignedBox3d& box() const { return boxes_.front(); }
-
   /// Calls visit(primitive) for the primitives of every leaf whose box is within sqrt(limit()) of the query, nearer
   /// boxes first; limit() may shrink between calls.
   template <class Limit, class Visit>

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -22,10 +21,7 @@ constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double degrees = 180 / std::numbers::pi;
 
 RankedValues rank_values(const Image<float>& image, const Context& context) {
-  const auto values = [&image](std::size_t begin, std::size_t end, float* to) {
-    std::copy(image.data() + begin, image.data() + end, to);
-  };
-  return {image.count(), values, context};
+  return {image.count(), [&](std::size_t i) { return image[i]; }, context};
 }
 
 void require_sizes(const AssessInput& input) {
@@ -81,32 +77,27 @@ Spread detail_of(const Image<float>& detail, double gsd, const Context& context)
     sums[0] += value * value;
     sums[1] += 1;
   });
-  const auto sizes = [&detail](std::size_t begin, std::size_t end, float* to) {
-    std::transform(detail.data() + begin, detail.data() + end, to, [](float value) { return std::abs(value); });
-  };
-  const double median = percentiles({detail.count(), sizes, context}, gsd, {0.5})[0];
+  const auto size = [&](std::size_t i) { return std::abs(detail[i]); };
+  const double median = percentiles({detail.count(), size, context}, gsd, {0.5})[0];
   return {count > 0 ? std::sqrt(squares / count) : nan, deviation_per_median * median};
 }
 
 DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& prior, double gsd,
                                  const AssessOptions& options, const Context& context) {
   const Image<float>&fused = surface.depth, &before = prior.depth;
+  const auto difference = [&](std::size_t i) { return fused[i] - before[i]; };
   struct Index {
     enum : std::size_t { count, sum, squares, size };
   };
   const auto sums = sum_pixels<Index::size>(fused.count(), context, [&](std::size_t i, Sums<Index::size>& part) {
-    const float difference = fused[i] - before[i];
-    if (!std::isfinite(difference)) return;
-    const double value = difference / gsd;
+    const double value = difference(i) / gsd;
+    if (!std::isfinite(value)) return;
     part[Index::count] += 1;
     part[Index::sum] += value;
     part[Index::squares] += value * value;
   });
-  const auto differences = [&](std::size_t begin, std::size_t end, float* to) {
-    std::transform(fused.data() + begin, fused.data() + end, before.data() + begin, to, std::minus<>());
-  };
   Image<float> change = Image<float>::uninitialized(fused.size());
-  differences(0, fused.count(), change.data());
+  for (std::size_t i = 0; i < change.count(); ++i) change[i] = difference(i);
   // Only one raster of detail is in memory at a time.
   const double sigma_px = options.detail_sigma_px;
   const Spread of_change = detail_of(high_pass(std::move(change), sigma_px, context), gsd, context);
@@ -115,7 +106,7 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   const double mean = sums[Index::sum] / sums[Index::count], square = sums[Index::squares] / sums[Index::count];
   DetailFigures figures;
   figures.difference_rms_gsd = std::sqrt(std::max(square - mean * mean, 0.0));
-  figures.difference_bias_gsd = percentiles({fused.count(), differences, context}, gsd, {0.5})[0];
+  figures.difference_bias_gsd = percentiles({fused.count(), difference, context}, gsd, {0.5})[0];
   figures.difference_detail_rms_gsd = of_change.rms;
   figures.difference_detail_mad_gsd = of_change.mad;
   figures.prior_detail_rms_gsd = of_prior.rms;
@@ -142,13 +133,11 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
   });
   /// Median and 95th percentile of the object's valid pixels.
   const auto middle_and_p95 = [&](const Image<float>& map) {
-    const auto values = [&](std::size_t begin, std::size_t end, float* to) {
-      for (std::size_t i = begin; i < end; ++i) {
-        const bool counts_in = is_object(input, i) && state.valid[i] == static_cast<std::uint8_t>(PixelState::valid);
-        to[i - begin] = counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
-      }
+    const auto value = [&](std::size_t i) {
+      const bool counts_in = is_object(input, i) && state.valid[i] == static_cast<std::uint8_t>(PixelState::valid);
+      return counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
     };
-    return percentiles({map.count(), values, context}, 1, {0.5, 0.95});
+    return percentiles({map.count(), value, context}, 1, {0.5, 0.95});
   };
   const std::vector<double> residuals = middle_and_p95(state.residual),
                             degrees_of_polarization = middle_and_p95(state.rho);

@@ -2,15 +2,9 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/assess/box_tree_internal.h"
 #include "malus/assess/reference_surface_internal.h"
 
 namespace malus {
-
-struct ReferenceSurface::Index {
-  BoxTree tree;
-};
-
 namespace {
 
 using Corners = std::array<Eigen::Vector3d, 3>;
@@ -32,6 +26,17 @@ void require_usable(const TriangleMesh& geometry) {
       throw data_error("a triangle of the reference names a vertex that does not exist");
     }
   }
+}
+
+BoxTree tree_of(const TriangleMesh& geometry, const Context& context) {
+  require_usable(geometry);
+  const auto box_of_point = [&](std::size_t i) { return Eigen::AlignedBox3d(geometry.vertices.points[i]); };
+  if (geometry.triangles.empty()) return {geometry.vertices.points.size(), box_of_point, context};
+  const auto box_of_triangle = [&](std::size_t i) {
+    const Corners x = corners_of(geometry, i);
+    return Eigen::AlignedBox3d(x[0]).extend(x[1]).extend(x[2]);
+  };
+  return {geometry.triangles.size(), box_of_triangle, context};
 }
 
 /// Nearest point of a triangle, and the weight of the triangle's normal in the pseudonormal there: the angle of the
@@ -75,22 +80,14 @@ NearestOnTriangle nearest_on_triangle(const Corners& x, const Eigen::Vector3d& q
 
 ReferenceSurface::ReferenceSurface(const TriangleMesh& geometry, const Eigen::Vector3d& viewpoint, int neighbors,
                                    const Context& context)
-    : geometry_(geometry), viewpoint_(viewpoint), neighbors_(static_cast<std::size_t>(neighbors)) {
-  require_usable(geometry);
-  const bool is_mesh = !geometry.triangles.empty();
-  const auto box_of = [&](std::size_t i) {
-    if (!is_mesh) return Eigen::AlignedBox3d(geometry.vertices.points[i]);
-    const Corners x = corners_of(geometry, i);
-    return Eigen::AlignedBox3d(x[0]).extend(x[1]).extend(x[2]);
-  };
-  const std::size_t count = is_mesh ? geometry.triangles.size() : geometry.vertices.points.size();
-  index_ = std::make_unique<const Index>(Index{BoxTree(count, box_of, context)});
+    : geometry_(geometry),
+      viewpoint_(viewpoint),
+      neighbors_(static_cast<std::size_t>(neighbors)),
+      tree_(tree_of(geometry, context)) {
   Eigen::AlignedBox3d all;
   for (const Eigen::Vector3d& point : geometry.vertices.points) all.extend(point);
   extent_ = all.diagonal().norm();
 }
-
-ReferenceSurface::~ReferenceSurface() = default;
 
 std::optional<Foot> ReferenceSurface::foot(const Eigen::Vector3d& point, double max_distance) const {
   return geometry_.triangles.empty() ? foot_on_cloud(point, max_distance) : foot_on_mesh(point, max_distance);
@@ -99,7 +96,7 @@ std::optional<Foot> ReferenceSurface::foot(const Eigen::Vector3d& point, double 
 std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point, double max_distance) const {
   double limit = max_distance * max_distance;
   std::optional<Eigen::Vector3d> nearest;
-  index_->tree.visit_near(
+  tree_.visit_near(
       point, [&] { return limit; },
       [&](std::size_t triangle) {
         const Eigen::Vector3d candidate = nearest_on_triangle(corners_of(geometry_, triangle), point).point;
@@ -114,7 +111,7 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
   const double tolerance = 1e-9 * (extent_ + std::sqrt(limit)) + 1e-14 * nearest->cwiseAbs().maxCoeff();
   const double reach = std::pow(std::sqrt(limit) + tolerance, 2);
   Eigen::Vector3d normal = Eigen::Vector3d::Zero();
-  index_->tree.visit_near(
+  tree_.visit_near(
       point, [&] { return reach; },
       [&](std::size_t triangle) {
         const Corners x = corners_of(geometry_, triangle);
@@ -135,7 +132,7 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   const std::vector<Eigen::Vector3d>& points = geometry_.vertices.points;
   std::vector<std::pair<double, std::size_t>> nearest;  // a heap, farthest first; ties go to the lower index
   nearest.reserve(neighbors_ + 1);
-  index_->tree.visit_near(
+  tree_.visit_near(
       point,
       [&] { return nearest.size() < neighbors_ ? std::numeric_limits<double>::infinity() : nearest.front().first; },
       [&](std::size_t candidate) {

@@ -1,9 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <memory>
 #include <optional>
 
+#include "malus/assess/box_tree_internal.h"
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 
@@ -29,7 +29,6 @@ class ReferenceSurface {
   /// reference to the geometry, which must outlive this object.
   ReferenceSurface(const TriangleMesh& geometry, const Eigen::Vector3d& viewpoint, int neighbors,
                    const Context& context);
-  ~ReferenceSurface();
 
   /// Nearest point within max_distance, if any.
   ///
@@ -41,7 +40,6 @@ class ReferenceSurface {
   std::optional<Foot> foot(const Eigen::Vector3d& point, double max_distance) const;
 
  private:
-  struct Index;
   std::optional<Foot> foot_on_mesh(const Eigen::Vector3d& point, double max_distance) const;
   std::optional<Foot> foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const;
 
@@ -49,7 +47,7 @@ class ReferenceSurface {
   Eigen::Vector3d viewpoint_;
   std::size_t neighbors_;
   double extent_ = 0;  ///< diagonal of the box about all points
-  std::unique_ptr<const Index> index_;
+  BoxTree tree_;
 };
 
 }  // namespace malus

@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "malus/assess/statistics_internal.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
@@ -11,17 +12,6 @@ namespace malus {
 namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-
-/// Percentile; may reorder the values.
-double percentile_in_place(std::vector<double>& values, double fraction) {
-  if (values.empty()) return nan;
-  const double rank = fraction * static_cast<double>(values.size() - 1);
-  const auto lower = values.begin() + static_cast<std::ptrdiff_t>(rank);
-  std::nth_element(values.begin(), lower, values.end());
-  const double part = rank - std::floor(rank);
-  if (part == 0) return *lower;
-  return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
-}
 
 /// The nearest, by ratio, of the numbers 1, 2 and 5 · 10ⁿ; x > 0.
 double nearest_round_number(double x) {

@@ -31,8 +31,8 @@ struct Context {
   /// beyond rounding.
   int threads = 1;
   std::uint64_t seed = 0;
-  std::function<void(const Progress&)> on_progress;
-  std::function<void(LogLevel, const std::string&)> on_log;
+  std::function<void(const Progress&)> on_progress = {};
+  std::function<void(LogLevel, const std::string&)> on_log = {};
   /// Set to true (from a signal handler or another thread) to stop with ErrorCode::interrupted. May be null.
   const std::atomic<bool>* cancel = nullptr;
 

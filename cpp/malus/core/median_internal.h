@@ -1,7 +1,10 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
+#include <limits>
+#include <utility>
 #include <vector>
 
 namespace malus {
@@ -26,7 +29,27 @@ T lower_quartile_in_place(std::vector<T>& values) {
   return *quartile;
 }
 
-/// The median of a copy, or of values that are moved in.
+/// The value below which this share of the values lies, between 0 = the smallest and 1 = the largest. Reorders the
+/// values, of which there must be at least one.
+template <class T>
+T quantile_in_place(std::vector<T>& values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+/// Percentile, linear between order statistics; NaN if there are no values. Reorders the values.
+inline double percentile_in_place(std::vector<double>& values, double fraction) {
+  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const double rank = fraction * static_cast<double>(values.size() - 1);
+  const auto lower = values.begin() + static_cast<std::ptrdiff_t>(rank);
+  std::nth_element(values.begin(), lower, values.end());
+  const double part = rank - std::floor(rank);
+  if (part == 0) return *lower;
+  return *lower + part * (*std::min_element(lower + 1, values.end()) - *lower);
+}
+
+/// The same as `median_in_place` for a copy, or for values that are moved in.
 template <class T>
 T median(std::vector<T> values) {
   return median_in_place(values);

@@ -34,18 +34,6 @@ struct PixelRect {
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
 };
 
-/// The smallest rectangle with all pixels of a mask that are set; empty, with u1 = v1 = 0, if none is.
-inline PixelRect bounding_box(const Mask& mask) {
-  PixelRect box{mask.width(), mask.height(), 0, 0};
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      box = {std::min(box.u0, u), std::min(box.v0, v), std::max(box.u1, u + 1), std::max(box.v1, v + 1)};
-    }
-  }
-  return box;
-}
-
 /// Calls body(u, v) row by row for the pixels of a part, or for those of them that are set in a mask of the image.
 template <class Body>
 void for_each_pixel(const PixelRect& part, Body&& body) {
@@ -58,6 +46,20 @@ void for_each_pixel(const PixelRect& part, const Mask& mask, Body&& body) {
   for_each_pixel(part, [&](int u, int v) {
     if (mask(u, v) != 0) body(u, v);
   });
+}
+
+/// The smallest rectangle with all pixels of a part of a mask that are set; v0 ≥ v1 if none is.
+inline PixelRect bounding_box(const Mask& mask, const PixelRect& part) {
+  PixelRect box{part.u1, part.v1, part.u0, part.v0};
+  for_each_pixel(part, mask, [&](int u, int v) {
+    box = {std::min(box.u0, u), std::min(box.v0, v), std::max(box.u1, u + 1), std::max(box.v1, v + 1)};
+  });
+  return box;
+}
+
+/// The same for the whole mask; u1 = v1 = 0 if no pixel is set.
+inline PixelRect bounding_box(const Mask& mask) {
+  return bounding_box(mask, {0, 0, mask.width(), mask.height()});
 }
 
 /// The pixels of a square cell, in an image that cells cover from its first pixel on.

@@ -1,17 +1,9 @@
 #include <algorithm>
-#include <cmath>
 #include <numeric>
 
-#include "malus/core/parallel_internal.h"
 #include "malus/core/ranked_values_internal.h"
 
 namespace malus {
-
-RankedValues::RankedValues(std::size_t count, const Source& source, const Context& context) : values_(count) {
-  parallel_for(context, count, std::size_t{1} << 16,
-               [&](std::size_t begin, std::size_t end) { source(begin, end, values_.data() + begin); });
-  std::erase_if(values_, [](float value) { return !std::isfinite(value); });
-}
 
 std::vector<float> RankedValues::at(std::span<const std::size_t> ranks) {
   std::vector<std::size_t> order(ranks.size());

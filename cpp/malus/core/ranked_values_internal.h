@@ -1,23 +1,26 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
-#include <functional>
 #include <span>
 #include <vector>
 
-#include "malus/core/context.h"
 #include "malus/core/large_allocator.h"
+#include "malus/core/parallel_internal.h"
 
 namespace malus {
 
 /// Order statistics of a list of values. Holds a copy of them, 4 bytes each.
 class RankedValues {
  public:
-  /// Writes the values [begin, end) of the list to `values`; called from several threads.
-  using Source = std::function<void(std::size_t begin, std::size_t end, float* values)>;
-
-  /// Reads `count` values; values that are not finite get no rank.
-  RankedValues(std::size_t count, const Source& source, const Context& context);
+  /// The values value(i) for i < count, which several threads read; values that are not finite get no rank.
+  template <class Value>
+  RankedValues(std::size_t count, Value&& value, const Context& context) : values_(count) {
+    parallel_for(context, count, std::size_t{1} << 16, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) values_[i] = value(i);
+    });
+    std::erase_if(values_, [](float x) { return !std::isfinite(x); });
+  }
 
   /// Number of finite values.
   std::size_t size() const { return values_.size(); }

@@ -17,11 +17,14 @@ namespace malus {
 /// Numbers the pixels of a mask row by row.
 class PixelIndex {
  public:
+  PixelIndex() = default;
   explicit PixelIndex(const Mask& mask);
 
   int count() const { return static_cast<int>(pixels_.size()); }
   /// Unknown at a pixel, or -1 outside the mask or the raster.
   int at(int u, int v) const { return index_.contains(u, v) ? index_(u, v) : -1; }
+  /// Unknowns of a row of the raster, -1 outside the mask.
+  const int* row(int v) const { return index_.row(v); }
   int u(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].u; }
   int v(int unknown) const { return pixels_[static_cast<std::size_t>(unknown)].v; }
   Size size() const { return index_.size(); }
@@ -67,8 +70,12 @@ class GridSystem {
   /// Adds to the symmetric entry of two unknowns; call it once per pair, not once per order. `reach` is not checked.
   void add(int a, int b, double value) {
     if (a > b) std::swap(a, b);
+    add_to_later(a, pixels_->u(b) - pixels_->u(a), pixels_->v(b) - pixels_->v(a), value);
+  }
+  /// The same for an unknown with itself, or with a later one that lies (du, dv) pixels from it.
+  void add_to_later(int a, int du, int dv, double value) {
     const std::size_t column = static_cast<std::size_t>(a);
-    const int slot = slot_of(pixels_->u(b) - pixels_->u(a), pixels_->v(b) - pixels_->v(a));
+    const int slot = slot_of(du, dv);
     values_[column * slots + static_cast<std::size_t>(slot)] += value;
     used_[column] = static_cast<std::uint16_t>(used_[column] | (1u << slot));
   }

@@ -80,31 +80,19 @@ double keypoint_sigma(const Arrays& arrays, const std::vector<Eigen::Vector3d>& 
 
 /// Normal of the plane through a point's neighbors; neighbors off the plane are downweighted.
 Eigen::Vector3d plane_normal(const std::vector<Eigen::Vector3d>& positions, const int* nearest, int count) {
-  std::vector<double> weights(static_cast<std::size_t>(count), 1.0);
+  Eigen::Matrix3Xd around(3, count);
+  for (int i = 0; i < count; ++i) around.col(i) = positions[static_cast<std::size_t>(nearest[i])];
+  Eigen::VectorXd weights = Eigen::VectorXd::Ones(count);
   Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
   for (int pass = 0; pass < plane_passes; ++pass) {
-    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    double sum = 0;
-    for (std::size_t i = 0; i < weights.size(); ++i) {
-      mean += weights[i] * positions[static_cast<std::size_t>(nearest[i])];
-      sum += weights[i];
-    }
-    mean /= sum;
-    Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
-    for (std::size_t i = 0; i < weights.size(); ++i) {
-      const Eigen::Vector3d off = positions[static_cast<std::size_t>(nearest[i])] - mean;
-      spread += weights[i] * off * off.transpose();
-    }
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(spread);
-    normal = axes.eigenvectors().col(0);
-    std::vector<double> distances;
-    for (std::size_t i = 0; i < weights.size(); ++i) {
-      distances.push_back(std::abs(normal.dot(positions[static_cast<std::size_t>(nearest[i])] - mean)));
-    }
-    const double scale = std::max(2 * median(distances), 1e-12 * mean.norm());
-    for (std::size_t i = 0; i < weights.size(); ++i) {
-      weights[i] = 1 / (1 + std::pow(distances[i] / scale, 2));
-    }
+    const Eigen::Vector3d mean = around * weights / weights.sum();
+    const Eigen::Matrix3Xd off = around.colwise() - mean;
+    const Eigen::Matrix3d spread = off * weights.asDiagonal() * off.transpose();
+    normal = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(spread).eigenvectors().col(0);
+    const Eigen::ArrayXd distances = (off.transpose() * normal).array().abs();
+    const double middle = median(std::vector<double>(distances.begin(), distances.end()));
+    const double scale = std::max(2 * middle, 1e-12 * mean.norm());
+    weights = (1 + (distances / scale).square()).inverse().matrix();
   }
   return normal;
 }

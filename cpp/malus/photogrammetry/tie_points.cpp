@@ -166,14 +166,11 @@ class Matcher {
   Matcher(std::span<const SweepView> views, const PhotosOptions& options, const Context& context)
       : views_(views), options_(options), window_(options.match_radius), wide_(2 * options.match_radius) {
     for (const SweepView& view : views) {
-      int levels = 1;
+      std::vector<Image<float>>& reduced = reduced_.emplace_back();
       for (int side = std::min(view.intensity.width(), view.intensity.height());
-           levels <= largest_level && side >= 8 * options.match_radius; side /= 2) {
-        ++levels;
+           static_cast<int>(reduced.size()) < largest_level && side >= 8 * options.match_radius; side /= 2) {
+        reduced.push_back(halved(reduced.empty() ? view.intensity : reduced.back(), context));
       }
-      std::vector<Image<float>> reduced;
-      if (levels > 1) reduced = intensity_pyramid(halved(view.intensity, context), levels - 1, context);
-      reduced_.push_back(std::move(reduced));
     }
   }
 
@@ -185,8 +182,7 @@ class Matcher {
     const auto centre = meet(reference, pixel, point);
     if (!centre) return {};
     // Reference windows by pyramid level and window width, sampled when needed.
-    std::array<std::vector<double>, 2 * (largest_level + 1)> patches;
-    std::array<bool, 2 * (largest_level + 1)> sampled{};
+    std::array<std::optional<std::vector<double>>, 2 * (largest_level + 1)> patches;
     std::vector<TieObservation> found{{index, point.reference, pixel, 0}};
     for (std::size_t view = 0; view < views_.size(); ++view) {
       if (view == point.reference) continue;
@@ -197,17 +193,16 @@ class Matcher {
         const int level = level_of(scale, coarser), reference_level = level_of(1 / scale, coarser);
         if (level > coarsest(view) || reference_level > coarsest(point.reference)) break;
         const Window& window = coarser == 0 ? window_ : wide_;
-        const std::size_t slot = 2 * static_cast<std::size_t>(reference_level) + (coarser == 0 ? 0 : 1);
-        if (!sampled[slot]) {
-          sampled[slot] = true;
-          patches[slot] =
+        auto& patch = patches[2 * static_cast<std::size_t>(reference_level) + (coarser == 0 ? 0 : 1)];
+        if (!patch) {
+          patch =
               reference_values(at_level(point.reference, reference_level), pixel / std::exp2(reference_level), window);
         }
-        if (patches[slot].empty()) continue;
+        if (patch->empty()) continue;
         const double reduction = std::exp2(level);
         const Placement start{expected->shape * (std::exp2(reference_level) / reduction), expected->centre / reduction};
         const auto matched =
-            match(at_level(view, level), start, patches[slot], window, options_, options_.match_range_px / reduction);
+            match(at_level(view, level), start, *patch, window, options_, options_.match_range_px / reduction);
         if (!matched) continue;
         const double sigma = std::hypot(reduction * matched->sigma_px, options_.match_floor_px);
         if (sigma <= largest_sigma_px) found.push_back({index, view, reduction * matched->pixel, sigma});

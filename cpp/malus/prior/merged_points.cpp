@@ -2,12 +2,9 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <mutex>
 #include <numeric>
-#include <optional>
 #include <span>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "malus/core/error.h"
@@ -22,6 +19,7 @@ namespace {
 constexpr std::size_t block_size = 1 << 18;
 /// Number of points whose mask pixels are prefetched together: points in random order would each wait for memory.
 constexpr std::size_t batch_size = 64;
+constexpr std::size_t bands_at_once = 64;
 /// Points of one pixel belong to one surface if the depths of successive points differ by no more than this.
 constexpr float same_surface_gsd = 3;
 
@@ -84,13 +82,11 @@ class ProjectedCloud {
   }
 
   double median_depth(const Context& context) const {
-    const auto depths = [this](std::size_t begin, std::size_t end, float* values) {
-      for (std::size_t i = begin; i < end; ++i) {
-        const bool filled = i % block_size < starts_[i / block_size].back();
-        values[i - begin] = filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
-      }
+    const auto depth = [this](std::size_t i) {
+      const bool filled = i % block_size < starts_[i / block_size].back();
+      return filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
     };
-    RankedValues ranked(points_.size(), depths, context);
+    RankedValues ranked(points_.size(), depth, context);
     return ranked.at(std::array{ranked.size() / 2}).front();
   }
 
@@ -295,35 +291,6 @@ class BandMerger {
   std::vector<Eigen::Vector3f> normals_;
 };
 
-/// Concatenates parts that threads finish in any order, in the order of their numbers. Few parts wait for an earlier
-/// one, and the points need memory only once.
-class PartsInOrder {
- public:
-  PartsInOrder(std::size_t parts, MergedPoints& whole) : waiting_(parts), whole_(whole) {}
-
-  void put(std::size_t part, MergedPart made) {
-    std::unique_lock lock(mutex_);
-    waiting_[part] = std::move(made);
-    while (next_ < waiting_.size() && waiting_[next_]) {
-      const MergedPart ready = *std::exchange(waiting_[next_++], std::nullopt);
-      const std::size_t at = filled_;
-      filled_ += ready.points.size();
-      lock.unlock();
-      std::copy(ready.points.begin(), ready.points.end(), whole_.points.begin() + static_cast<std::ptrdiff_t>(at));
-      std::copy(ready.merged.begin(), ready.merged.end(), whole_.merged.begin() + static_cast<std::ptrdiff_t>(at));
-      lock.lock();
-    }
-  }
-
-  std::size_t filled() const { return filled_; }
-
- private:
-  std::mutex mutex_;
-  std::vector<std::optional<MergedPart>> waiting_;
-  MergedPoints& whole_;
-  std::size_t next_ = 0, filled_ = 0;
-};
-
 }  // namespace
 
 MergedPoints project_and_merge(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
@@ -334,15 +301,20 @@ MergedPoints project_and_merge(const PointCloud& cloud, const Pinhole& camera, c
   if (projected.count() == 0) return merged;
   merged.reference_depth = projected.median_depth(context);
   // Room for all points; memory that is not needed is never written.
-  merged.points.resize(projected.count());
-  merged.merged.resize(projected.count());
-  PartsInOrder parts(bands.count(), merged);
-  parallel_for(context, bands.count(), 1, [&](std::size_t band, std::size_t) {
-    const BandMerger merger(projected, band, camera, merged.reference_depth);
-    parts.put(band, merger.merge(static_cast<int>(band) * bands.rows(), bands.rows()));
-  });
-  merged.points.resize(parts.filled());
-  merged.merged.resize(parts.filled());
+  merged.points.reserve(projected.count());
+  merged.merged.reserve(projected.count());
+  // A few bands at a time: beside the whole, little is in memory twice.
+  for (std::size_t first = 0; first < bands.count(); first += bands_at_once) {
+    std::vector<MergedPart> parts(std::min(bands_at_once, bands.count() - first));
+    parallel_for(context, parts.size(), 1, [&](std::size_t i, std::size_t) {
+      const BandMerger merger(projected, first + i, camera, merged.reference_depth);
+      parts[i] = merger.merge(static_cast<int>(first + i) * bands.rows(), bands.rows());
+    });
+    for (const MergedPart& part : parts) {
+      merged.points.insert(merged.points.end(), part.points.begin(), part.points.end());
+      merged.merged.insert(merged.merged.end(), part.merged.begin(), part.merged.end());
+    }
+  }
   return merged;
 }
 

@@ -14,7 +14,7 @@ namespace {
 /// Tests of a point against its neighbors.
 class Judge {
  public:
-  Judge(std::span<const ViewPoint> points, const VisibilityOptions& options)
+  Judge(std::span<const ViewPoint> points, const PriorOptions& options)
       : points_(points), options_(options), max_slope_(std::tan(options.max_slope_deg * std::numbers::pi / 180)) {}
 
   /// Counts of neighbors by height, relative to `outlier_floor_gsd`. They often decide the tests without further work.
@@ -65,13 +65,13 @@ class Judge {
 
  private:
   std::span<const ViewPoint> points_;
-  const VisibilityOptions& options_;
+  const PriorOptions& options_;
   double max_slope_;
 };
 
 /// Judges the points for which `due` is true. Hidden points are searched for, or, with `hidden_known`, left out.
 template <class Due>
-void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, const VisibilityOptions& options,
+void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, const PriorOptions& options,
                   bool hidden_known, const Context& context, Due&& due) {
   const auto left_out =
       hidden_known ? std::span<const std::uint8_t>(judgement.hidden) : std::span<const std::uint8_t>();
@@ -115,15 +115,14 @@ bool any_within(const Mask& mask, const ViewPoint& p, double distance) {
 
 }  // namespace
 
-PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const VisibilityOptions& options,
+PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
                             const Context& context) {
   PointJudgement judgement;
   judgement.hidden.resize(points.size());
   judgement.outlier.resize(points.size());
   judgement.distance2.resize(points.size());
   judge_points(judgement, points, options, false, context, [](std::size_t) { return true; });
-  if (std::ranges::find_if(judgement.hidden, [](auto hidden) { return hidden != 0; }) == judgement.hidden.end())
-    return judgement;
+  if (std::ranges::none_of(judgement.hidden, [](auto hidden) { return hidden != 0; })) return judgement;
   // Hidden points are no valid neighbors: judge again, without hidden points, those that had one among their neighbors.
   const Mask hidden = hidden_pixels(points, judgement.hidden, size);
   judge_points(judgement, points, options, true, context, [&](std::size_t i) {

@@ -18,7 +18,7 @@ struct PointJudgement {
 
 /// Compares every point with its neighbors. Outliers are judged among the points that are not hidden. `points` are in
 /// row order.
-PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const VisibilityOptions& options,
+PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
                             const Context& context);
 
 }  // namespace malus

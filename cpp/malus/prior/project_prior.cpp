@@ -15,7 +15,9 @@
 #include <vector>
 
 #include "malus/core/error.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
@@ -45,7 +47,7 @@ void validate(const Pinhole& camera, const Pose& pose, const Mask& mask, const P
   if (!pose.rotation.allFinite() || !pose.translation.allFinite()) {
     throw input_error("prior: the camera's pose is not finite");
   }
-  if (std::none_of(mask.begin(), mask.end(), [](std::uint8_t m) { return m != 0; })) {
+  if (count_of_set(mask) == 0) {
     throw input_error("mask: no pixel is set, expected the object's pixels to be non-zero");
   }
 }
@@ -121,29 +123,17 @@ class ReferencePlane {
   Eigen::Vector3d plane_;
 };
 
-bool has_object(const Mask& mask, PixelRect box) {
-  for (int v = box.v0; v < box.v1; ++v) {
-    if (std::any_of(mask.row(v) + box.u0, mask.row(v) + box.u1, [](std::uint8_t m) { return m != 0; })) return true;
-  }
-  return false;
-}
-
 /// Share of object pixels farther than `distance_px` from every point.
 double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double distance_px) {
-  cv::Mat free(mask.height(), mask.width(), CV_8U, cv::Scalar(1)), distance;
-  for (const ViewPoint& p : points) {
-    free.at<std::uint8_t>(pixel_of(p.v, mask.height()), pixel_of(p.u, mask.width())) = 0;
-  }
-  cv::distanceTransform(free, distance, cv::DIST_L2, cv::DIST_MASK_5);
-  std::size_t object = 0, far = 0;
+  Mask free(mask.size(), 1, 1);
+  for (const ViewPoint& p : points) free(pixel_of(p.u, mask.width()), pixel_of(p.v, mask.height())) = 0;
+  cv::Mat distance;
+  cv::distanceTransform(as_mat(free), distance, cv::DIST_L2, cv::DIST_MASK_5);
+  std::size_t far = 0;
   for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      ++object;
-      far += distance.at<float>(v, u) > distance_px;
-    }
+    for (int u = 0; u < mask.width(); ++u) far += mask(u, v) != 0 && distance.at<float>(v, u) > distance_px;
   }
-  return static_cast<double>(far) / static_cast<double>(object);
+  return static_cast<double>(far) / static_cast<double>(count_of_set(mask));
 }
 
 struct Surface {
@@ -257,7 +247,8 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
       fits[i].reset();
       if (tile >= tiles) return;
       const PixelRect area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
-      if (has_object(mask, area)) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
+      const bool has_object = bounding_box(mask, area).height() > 0;
+      if (has_object) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
     });
     for (std::size_t i = 0; i < fits.size(); ++i) {
       if (!fits[i]) continue;
@@ -305,12 +296,8 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
 }
 
 DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
-  DepthPrior prior;
-  prior.camera = camera;
-  prior.pose = pose;
-  prior.depth = Image<float>(camera.size, 1, none);
-  prior.sigma = Image<float>(camera.size, 1, none);
-  return prior;
+  const Image<float> nothing(camera.size, 1, none);
+  return {nothing, nothing, camera, pose};
 }
 
 /// Standard deviation of a raster's depth: `sigma`, or else `raster_sigma_gsd`.
@@ -321,33 +308,28 @@ double raster_sigma(double depth, double focal, const PriorOptions& options) {
 /// Fills object pixels without a depth by a spline through their surroundings.
 void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options, const Context& context) {
   constexpr int surroundings_px = 8;
-  cv::Mat holes(mask.height(), mask.width(), CV_8U, cv::Scalar(0)), near;
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) != 0 && std::isnan(prior.depth(u, v))) holes.at<std::uint8_t>(v, u) = 1;
-    }
-  }
-  const double hole_pixels = cv::countNonZero(holes);
+  Mask holes(mask.size());
+  for (std::size_t i = 0; i < holes.count(); ++i) holes[i] = mask[i] != 0 && std::isnan(prior.depth[i]);
+  const auto hole_pixels = static_cast<double>(count_of_set(holes));
   if (hole_pixels == 0) return;
   const int width = 2 * surroundings_px + 1;
-  cv::dilate(holes, near, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
-  Mask region(mask.size());
+  Mask region = holes;
+  cv::Mat growing = as_mat(region);
+  cv::dilate(growing, growing, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   LargeVector<ViewPoint> points;
   std::vector<float> depths;
   for (int v = 0; v < mask.height(); ++v) {
     for (int u = 0; u < mask.width(); ++u) {
-      region(u, v) = mask(u, v) != 0 && near.at<std::uint8_t>(v, u) != 0;
-      if (region(u, v) != 0 && std::isfinite(prior.depth(u, v))) depths.push_back(prior.depth(u, v));
+      if (mask(u, v) == 0) region(u, v) = 0;
+      if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
+      depths.push_back(prior.depth(u, v));
+      points.push_back(ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), 0));
     }
   }
   if (depths.size() < 3) throw data_error("prior: the object's holes have no depth around them to be filled from");
-  const double focal = prior.camera.focal(), reference = median_in_place(depths);
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
-      const auto height = static_cast<float>(focal * std::log(prior.depth(u, v) / reference));
-      points.push_back(ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), height));
-    }
+  const double focal = prior.camera.focal(), reference = median(depths);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    points[i].height = static_cast<float>(focal * std::log(depths[i] / reference));
   }
   const ReferencePlane plane(points);
   for (ViewPoint& p : points) lower(p, plane.at(p.u, p.v), plane.slope());
@@ -358,15 +340,14 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   const Surface surface = smooth_cloud(std::move(points), region, how, options, context);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
-      if (holes.at<std::uint8_t>(v, u) == 0) continue;
+      if (holes(u, v) == 0) continue;
       const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
       prior.depth(u, v) = static_cast<float>(depth);
       prior.sigma(u, v) = static_cast<float>(std::hypot(
           raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
     }
   });
-  prior.filled_fraction =
-      hole_pixels / static_cast<double>(std::count_if(mask.begin(), mask.end(), [](auto m) { return m != 0; }));
+  prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
 
 /// Prior of a depth raster in the station view; `source` names it in messages.
@@ -440,18 +421,24 @@ Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
   return all;
 }
 
+/// Pixels without a depth.
+Mask missing_in(const Image<float>& depth) {
+  Mask missing(depth.size());
+  for (std::size_t i = 0; i < depth.count(); ++i) missing[i] = depth[i] > 0 ? 0 : 255;
+  return missing;
+}
+
 /// The depths, each pixel without one with that of the nearest pixel that has one.
 Image<float> filled_from_nearest(Image<float> depth) {
-  cv::Mat missing(depth.height(), depth.width(), CV_8U), distance, label;
-  for (int v = 0; v < depth.height(); ++v)
-    for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = depth(u, v) > 0 ? 0 : 255;
-  cv::distanceTransform(missing, distance, label, cv::DIST_L2, cv::DIST_MASK_5, cv::DIST_LABEL_PIXEL);
+  const Mask missing = missing_in(depth);
+  cv::Mat distance, labels;
+  cv::distanceTransform(as_mat(missing), distance, labels, cv::DIST_L2, cv::DIST_MASK_5, cv::DIST_LABEL_PIXEL);
+  const int* const label = labels.ptr<int>();
   std::vector<float> of_label(depth.count() + 1);
-  for (int v = 0; v < depth.height(); ++v)
-    for (int u = 0; u < depth.width(); ++u)
-      if (depth(u, v) > 0) of_label[static_cast<std::size_t>(label.at<int>(v, u))] = depth(u, v);
-  for (int v = 0; v < depth.height(); ++v)
-    for (int u = 0; u < depth.width(); ++u) depth(u, v) = of_label[static_cast<std::size_t>(label.at<int>(v, u))];
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    if (depth[i] > 0) of_label[static_cast<std::size_t>(label[i])] = depth[i];
+  }
+  for (std::size_t i = 0; i < depth.count(); ++i) depth[i] = of_label[static_cast<std::size_t>(label[i])];
   return depth;
 }
 
@@ -483,9 +470,7 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
   warn_if_rounded(cloud, camera, pose, "prior cloud", context);
-  VisiblePoints visible = visible_points(
-      cloud, camera, pose, mask,
-      {options.neighbors, options.outlier_tolerance, options.outlier_floor_gsd, options.max_slope_deg}, context);
+  VisiblePoints visible = visible_points(cloud, camera, pose, mask, options, context);
   require_points(visible, options);
   const ReferencePlane plane(visible.points);
   for (ViewPoint& p : visible.points) lower(p, plane.at(p.u, p.v), plane.slope());
@@ -578,15 +563,13 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   PriorOptions of_windows = options;
   of_windows.keep_raised = false;
   DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
-  cv::Mat missing(depth.height(), depth.width(), CV_8U), distance;
-  parallel_rows(context, depth.height(), [&](int v) {
-    for (int u = 0; u < depth.width(); ++u) missing.at<std::uint8_t>(v, u) = known(u, v) ? 0 : 255;
-  });
+  const Mask missing = missing_in(depth);
+  cv::Mat distance;
   prior.filled_fraction = measured.filled_fraction;
   prior.hull_fraction = measured.hull_fraction;
   if (is_hull) prior.smoothing_px = 0;
   prior.shares_windows = true;
-  cv::distanceTransform(missing, distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+  cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, depth.height(), [&](int v) {
     for (int u = 0; u < depth.width(); ++u) {
       if (mask(u, v) == 0) continue;

@@ -9,6 +9,7 @@
 
 #include "malus/core/error.h"
 #include "malus/core/median_internal.h"
+#include "malus/core/opencv_mat_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/linalg/nested_dissection_internal.h"
 #include "malus/prior/smoothing_spline_internal.h"
@@ -27,6 +28,12 @@ Eigen::Vector3d splines(double t) {
 }
 Eigen::Vector3d spline_slopes(double t) {
   return {t - 1, 1 - 2 * t, t};
+}
+
+/// The 9 coefficients of a cell from those along u and along v.
+Eigen::Matrix<double, 9, 1> products(const Eigen::Vector3d& along_u, const Eigen::Vector3d& along_v) {
+  const Eigen::Matrix3d all = along_u * along_v.transpose();
+  return Eigen::Map<const Eigen::Matrix<double, 9, 1>>(all.data());
 }
 
 /// ∫ f_uu² + 2 f_uv² + f_vv² + |∇f|² / tension² over one cell as a quadratic form of its 9 coefficients.
@@ -81,9 +88,10 @@ bool contains(const PixelRect& box, const ViewPoint& p) {
   return p.u >= box.u0 - 0.5F && p.v >= box.v0 - 0.5F && p.u < box.u1 - 0.5F && p.v < box.v1 - 0.5F;
 }
 
-/// Slot, in column (a, b) of the lower triangle, of the entry of control point (a + da, b + db).
-int slot_of(int da, int db) {
-  return db == 0 ? da : 5 * db + da;
+/// Gaussian mean over the cells around.
+void blur(Image<float>& cells, double sigma_cells) {
+  cv::Mat view = as_mat(cells);
+  cv::GaussianBlur(view, view, {}, sigma_cells);
 }
 
 }  // namespace
@@ -122,30 +130,34 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelRect box, double cell_px
   set_tilt();
   softening_ = tilt_;
   raised_.assign(active_.size(), 0.0F);
-  build_pattern();
+
+  Mask nodes({columns_ + 2, rows_ + 2}, 1, 0);
+  for (std::size_t cell = 0; cell < active_.size(); ++cell) {
+    if (active_[cell] == 0) continue;
+    const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
+    for (int k = 0; k < 9; ++k) nodes(column + k % 3, row + k / 3) = 1;
+  }
+  nodes_ = PixelIndex(nodes);
+  coefficients_ = Eigen::VectorXd::Zero(nodes_.count());
 }
 
 void SmoothingSpline::set_tilt() {
   // Mean cos² of the points around a cell.
   constexpr double reach_cells = 2;
-  cv::Mat sum(rows_, columns_, CV_32F, cv::Scalar(0)), count(rows_, columns_, CV_32F, cv::Scalar(0));
+  Image<float> sum({columns_, rows_}, 1, 0.0F), count(sum.size(), 1, 0.0F);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       if (!points_[i].has_slope()) continue;
-      sum.at<float>(row, column) += points_[i].facing;
-      count.at<float>(row, column) += 1;
+      sum[cell] += points_[i].facing;
+      count[cell] += 1;
     }
   }
-  cv::GaussianBlur(sum, sum, {}, reach_cells);
-  cv::GaussianBlur(count, count, {}, reach_cells);
+  blur(sum, reach_cells);
+  blur(count, reach_cells);
   tilt_.assign(active_.size(), 1.0F);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
-    const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
-    if (count.at<float>(row, column) < 1e-4F) continue;
-    const float facing = sum.at<float>(row, column) / count.at<float>(row, column);
     // The surface's curvature is f'' cos³ θ; its area is the area of its image over cos θ.
-    tilt_[cell] = std::pow(facing, 2.5F);
+    if (count[cell] >= 1e-4F) tilt_[cell] = std::pow(sum[cell] / count[cell], 2.5F);
   }
 }
 
@@ -155,103 +167,44 @@ std::size_t SmoothingSpline::cell_of(double u, double v) const {
   return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
 }
 
+Eigen::Vector2d SmoothingSpline::place_in_cell(double u, double v) const {
+  const double x = (u + 0.5 - box_.u0) / cell_px_, y = (v + 0.5 - box_.v0) / cell_px_;
+  return {x - std::clamp(static_cast<int>(x), 0, columns_ - 1), y - std::clamp(static_cast<int>(y), 0, rows_ - 1)};
+}
+
 SmoothingSpline::Basis SmoothingSpline::basis(double u, double v) const {
-  const double x = (u + 0.5 - box_.u0) / cell_px_, y = (v + 0.5 - box_.v0) / cell_px_;
-  const Eigen::Vector3d bu = splines(x - std::clamp(static_cast<int>(x), 0, columns_ - 1));
-  const Eigen::Vector3d bv = splines(y - std::clamp(static_cast<int>(y), 0, rows_ - 1));
+  const Eigen::Vector2d t = place_in_cell(u, v);
+  return products(splines(t.x()), splines(t.y()));
+}
+
+SmoothingSpline::SlopeBasis SmoothingSpline::slope_basis(double u, double v) const {
+  const Eigen::Vector2d t = place_in_cell(u, v);
+  SlopeBasis result;
+  result.col(0) = products(spline_slopes(t.x()) / cell_px_, splines(t.y()));
+  result.col(1) = products(splines(t.x()), spline_slopes(t.y()) / cell_px_);
+  return result;
+}
+
+std::array<int, 9> SmoothingSpline::cell_unknowns(std::size_t cell) const {
+  const int row = static_cast<int>(cell) / columns_, column = static_cast<int>(cell) % columns_;
+  std::array<int, 9> result;
+  for (int j = 0; j < 3; ++j) std::copy_n(nodes_.row(row + j) + column, 3, result.begin() + 3 * j);
+  return result;
+}
+
+SmoothingSpline::Basis SmoothingSpline::cell_coefficients(std::size_t cell) const {
+  const std::array<int, 9> ids = cell_unknowns(cell);
   Basis result;
-  for (int j = 0; j < 3; ++j) {
-    for (int i = 0; i < 3; ++i) result[static_cast<std::size_t>(3 * j + i)] = bu[i] * bv[j];
-  }
-  return result;
-}
-
-std::array<SmoothingSpline::Basis, 2> SmoothingSpline::slope_basis(double u, double v) const {
-  const double x = (u + 0.5 - box_.u0) / cell_px_, y = (v + 0.5 - box_.v0) / cell_px_;
-  const double tu = x - std::clamp(static_cast<int>(x), 0, columns_ - 1);
-  const double tv = y - std::clamp(static_cast<int>(y), 0, rows_ - 1);
-  const Eigen::Vector3d bu = splines(tu), bv = splines(tv);
-  const Eigen::Vector3d du = spline_slopes(tu) / cell_px_, dv = spline_slopes(tv) / cell_px_;
-  std::array<Basis, 2> result;
-  for (int j = 0; j < 3; ++j) {
-    for (int i = 0; i < 3; ++i) {
-      result[0][static_cast<std::size_t>(3 * j + i)] = du[i] * bv[j];
-      result[1][static_cast<std::size_t>(3 * j + i)] = bu[i] * dv[j];
-    }
-  }
-  return result;
-}
-
-std::array<std::int32_t, 9> SmoothingSpline::cell_unknowns(std::size_t cell) const {
-  const std::size_t columns = static_cast<std::size_t>(columns_);
-  const std::size_t first = cell / columns * (columns + 2) + cell % columns;
-  std::array<std::int32_t, 9> result;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t i = 0; i < 3; ++i) result[3 * j + i] = unknown_[first + j * (columns + 2) + i];
-  }
+  for (std::size_t k = 0; k < 9; ++k) result[static_cast<Eigen::Index>(k)] = coefficients_[ids[k]];
   return result;
 }
 
 double SmoothingSpline::value(std::size_t cell, const Basis& weights) const {
-  const auto ids = cell_unknowns(cell);
-  double sum = 0;
-  for (std::size_t k = 0; k < 9; ++k) sum += weights[k] * coefficients_[ids[k]];
-  return sum;
+  return weights.dot(cell_coefficients(cell));
 }
 
 Eigen::Vector2d SmoothingSpline::slope_residual(const ViewPoint& p, std::size_t cell) const {
-  const auto basis = slope_basis(p.u, p.v);
-  return {p.slope_u - value(cell, basis[0]), p.slope_v - value(cell, basis[1])};
-}
-
-void SmoothingSpline::build_pattern() {
-  const int width = columns_ + 2, height = rows_ + 2;
-  unknown_.assign(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), -1);
-  const auto node = [width](int a, int b) {
-    return static_cast<std::size_t>(b) * static_cast<std::size_t>(width) + static_cast<std::size_t>(a);
-  };
-  for (int row = 0; row < rows_; ++row) {
-    for (int column = 0; column < columns_; ++column) {
-      if (active_[static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
-                  static_cast<std::size_t>(column)] == 0)
-        continue;
-      for (int k = 0; k < 9; ++k) unknown_[node(column + k % 3, row + k / 3)] = 0;
-    }
-  }
-  std::int32_t count = 0;
-  for (std::int32_t& id : unknown_) {
-    if (id == 0) id = count++;
-  }
-  unknowns_ = static_cast<std::size_t>(count);
-
-  matrix_.resize(count, count);
-  matrix_.reserve(static_cast<Eigen::Index>(13 * unknowns_));
-  slots_.assign(13 * unknowns_, -1);
-  std::int32_t entries = 0;
-  for (int b = 0; b < height; ++b) {
-    for (int a = 0; a < width; ++a) {
-      const std::int32_t id = unknown_[node(a, b)];
-      if (id < 0) continue;
-      matrix_.startVec(id);
-      for (int db = 0; db <= 2 && b + db < height; ++db) {
-        for (int da = db == 0 ? 0 : -2; da <= 2; ++da) {
-          if (a + da < 0 || a + da >= width) continue;
-          const std::int32_t other = unknown_[node(a + da, b + db)];
-          if (other < 0) continue;
-          slots_[13 * static_cast<std::size_t>(id) + static_cast<std::size_t>(slot_of(da, db))] = entries++;
-          matrix_.insertBack(other, id) = 0;
-        }
-      }
-    }
-  }
-  matrix_.finalize();
-  coefficients_ = Eigen::VectorXd::Zero(count);
-}
-
-std::vector<int> SmoothingSpline::elimination_order() const {
-  Mask nodes({columns_ + 2, rows_ + 2});
-  for (std::size_t i = 0; i < nodes.count(); ++i) nodes[i] = unknown_[i] >= 0 ? 255 : 0;
-  return nested_dissection(PixelIndex(nodes), 2);
+  return Eigen::Vector2d(p.slope_u, p.slope_v) - slope_basis(p.u, p.v).transpose() * cell_coefficients(cell);
 }
 
 template <class Body>
@@ -270,67 +223,44 @@ void SmoothingSpline::for_each_cell(Body&& body) const {
   }
 }
 
-void SmoothingSpline::assemble(double lambda, double kappa) {
-  lambda_ = lambda;
-  kappa_ = kappa;
-  double* values = matrix_.valuePtr();
-  std::fill(values, values + matrix_.nonZeros(), 0.0);
-  for (std::size_t id = 0; id < unknowns_; ++id) values[slots_[13 * id]] = ridge;
+GridSystem SmoothingSpline::normal_equations() const {
+  GridSystem system(nodes_);
   for_each_cell([&](std::size_t cell) {
-    Eigen::Matrix<double, 9, 9> block = softening_[cell] * lambda * lambda * stiffness_;
+    Eigen::Matrix<double, 9, 9> block = softening_[cell] * lambda_ * lambda_ * stiffness_;
+    Basis right = Basis::Zero();
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const ViewPoint& p = points_[i];
       const Basis b = basis(p.u, p.v);
-      const Eigen::Map<const Eigen::Matrix<double, 9, 1>> column(b.data());
-      block.noalias() += static_cast<double>(weights_[i] * p.facing) * column * column.transpose();
+      const double weight = weights_[i] * p.facing;
+      block.noalias() += weight * b * b.transpose();
+      right += weight * p.height * b;
       if (slope_weights_[i] == 0) continue;
-      const auto slopes = slope_basis(p.u, p.v);
-      Eigen::Matrix<double, 9, 2> columns;
-      columns << Eigen::Map<const Eigen::Matrix<double, 9, 1>>(slopes[0].data()),
-          Eigen::Map<const Eigen::Matrix<double, 9, 1>>(slopes[1].data());
-      block.noalias() += columns * (kappa * kappa * slope_weights_[i] * slope_information(p)) * columns.transpose();
+      const SlopeBasis slopes = slope_basis(p.u, p.v);
+      const Eigen::Matrix2d information = kappa_ * kappa_ * slope_weights_[i] * slope_information(p);
+      block.noalias() += slopes * information * slopes.transpose();
+      right += slopes * (information * Eigen::Vector2d(p.slope_u, p.slope_v));
     }
-    const auto ids = cell_unknowns(cell);
+    const std::array<int, 9> ids = cell_unknowns(cell);
     for (int l = 0; l < 9; ++l) {
-      const std::int32_t* slots = &slots_[13 * static_cast<std::size_t>(ids[static_cast<std::size_t>(l)])];
-      for (int m = l; m < 9; ++m) values[slots[slot_of(m % 3 - l % 3, m / 3 - l / 3)]] += block(m, l);
+      const int id = ids[static_cast<std::size_t>(l)];
+      system.add_right(id, right[l]);
+      for (int m = l; m < 9; ++m) system.add_to_later(id, m % 3 - l % 3, m / 3 - l / 3, block(m, l));
     }
   });
-}
-
-Eigen::VectorXd SmoothingSpline::right_side() const {
-  Eigen::VectorXd right = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(unknowns_));
-  for_each_cell([&](std::size_t cell) {
-    const auto ids = cell_unknowns(cell);
-    for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
-      const ViewPoint& p = points_[i];
-      const Basis b = basis(p.u, p.v);
-      for (std::size_t k = 0; k < 9; ++k)
-        right[ids[k]] += static_cast<double>(weights_[i] * p.facing) * p.height * b[k];
-      if (slope_weights_[i] == 0) continue;
-      const auto slopes = slope_basis(p.u, p.v);
-      const Eigen::Vector2d weighted =
-          kappa_ * kappa_ * slope_weights_[i] * slope_information(p) * Eigen::Vector2d(p.slope_u, p.slope_v);
-      for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += weighted.x() * slopes[0][k] + weighted.y() * slopes[1][k];
-    }
-  });
-  return right;
+  return system;
 }
 
 void SmoothingSpline::solve(double lambda, double kappa) {
-  if (!analyzed_) {
-    // The analysis uses one thread and the pattern only; the other threads assemble meanwhile.
-    parallel_for(context_, 2, 1, [&](std::size_t task, std::size_t) {
-      task == 0 ? static_cast<void>(solver_.analyze(matrix_, elimination_order())) : assemble(lambda, kappa);
-    });
-    analyzed_ = true;
-  } else {
-    assemble(lambda, kappa);
-  }
-  if (solver_.factorize(matrix_) != SolveStatus::solved) {
+  lambda_ = lambda;
+  kappa_ = kappa;
+  const GridSystem system = normal_equations();
+  const SymmetricSolver::Matrix matrix = system.lower(ridge);
+  if (!analyzed_) solver_.analyze(matrix, nested_dissection(nodes_, GridSystem::reach));
+  analyzed_ = true;
+  if (solver_.factorize(matrix) != SolveStatus::solved) {
     throw data_error("prior: the smoothing of the points has no unique solution");
   }
-  if (solver_.solve(matrix_, right_side(), coefficients_) != SolveStatus::solved) {
+  if (solver_.solve(matrix, system.right(), coefficients_) != SolveStatus::solved) {
     throw data_error("prior: the smoothing of the points is too ill conditioned to be solved");
   }
 }
@@ -355,9 +285,7 @@ void SmoothingSpline::append_residuals(Residuals& residuals) const {
 void SmoothingSpline::soften_edges(double tolerance) {
   std::vector<double> energies(active_.size());
   for_each_cell([&](std::size_t cell) {
-    const auto ids = cell_unknowns(cell);
-    Eigen::Matrix<double, 9, 1> x;
-    for (std::size_t k = 0; k < 9; ++k) x[static_cast<Eigen::Index>(k)] = coefficients_[ids[k]];
+    const Basis x = cell_coefficients(cell);
     energies[cell] = tilt_[cell] * x.dot(stiffness_ * x);
   });
   std::vector<double> of_active;
@@ -392,10 +320,8 @@ Image<float> SmoothingSpline::raised_parts(std::span<const float> residuals) con
   const double active = static_cast<double>(std::ranges::count_if(active_, [](auto cell) { return cell != 0; }));
   const double cells = around * active / static_cast<double>(points_.size());
   const double reach = std::sqrt(cells / (4 * std::numbers::pi));
-  for (Image<float>* count : {&parts, &all}) {
-    cv::Mat view(rows_, columns_, CV_32F, count->data());
-    cv::GaussianBlur(view, view, {}, reach);
-  }
+  blur(parts, reach);
+  blur(all, reach);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     if (all[cell] <= 0) continue;
     const double share = (parts[cell] / all[cell] - seldom) / (often - seldom);
@@ -479,9 +405,7 @@ double SmoothingSpline::evaluate(double u, double v) const {
 }
 
 Eigen::Vector2d SmoothingSpline::evaluate_slope(double u, double v) const {
-  const auto basis = slope_basis(u, v);
-  const std::size_t cell = cell_of(u, v);
-  return {value(cell, basis[0]), value(cell, basis[1])};
+  return slope_basis(u, v).transpose() * cell_coefficients(cell_of(u, v));
 }
 
 void SmoothingSpline::evaluate_row(int v, float* out) const {
@@ -497,23 +421,16 @@ void SmoothingSpline::draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, st
   RandomSigns sign(seed);
   for (std::size_t cell = 0; cell < active_.size(); ++cell) {
     if (active_[cell] == 0) continue;
-    Eigen::Matrix<double, 9, 1> block = Eigen::Matrix<double, 9, 1>::Zero();
+    Basis block = Basis::Zero();
     for (int k = 0; k < 9; ++k) block += sign() * stiffness_root.col(k);
     block *= lambda_ * std::sqrt(softening_[cell]);
     for (std::uint32_t i = cell_start_[cell]; i < cell_start_[cell + 1]; ++i) {
       const ViewPoint& p = points_[i];
-      const Basis b = basis(p.u, p.v);
-      const double scaled = std::sqrt(weights_[i] * p.facing) * sign();
-      for (int k = 0; k < 9; ++k) block[k] += scaled * b[static_cast<std::size_t>(k)];
+      block += std::sqrt(weights_[i] * p.facing) * sign() * basis(p.u, p.v);
       if (slope_weights_[i] == 0) continue;
-      const auto slopes = slope_basis(p.u, p.v);
       const double across = sign(), down = sign();
       const Eigen::Vector2d root = slope_information(p).llt().matrixL() * Eigen::Vector2d(across, down);
-      const Eigen::Vector2d drawn = kappa_ * std::sqrt(slope_weights_[i]) * root;
-      for (int k = 0; k < 9; ++k) {
-        const std::size_t at = static_cast<std::size_t>(k);
-        block[k] += drawn.x() * slopes[0][at] + drawn.y() * slopes[1][at];
-      }
+      block += slope_basis(p.u, p.v) * (kappa_ * std::sqrt(slope_weights_[i]) * root);
     }
     const auto ids = cell_unknowns(cell);
     for (std::size_t k = 0; k < 9; ++k) right[ids[k]] += block[static_cast<Eigen::Index>(k)];
@@ -525,18 +442,12 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
   const Eigen::Matrix<double, 9, 9> definite =
       stiffness_ + 1e-9 * stiffness_.trace() * Eigen::Matrix<double, 9, 9>::Identity();
   const Eigen::Matrix<double, 9, 9> root = definite.llt().matrixL().toDenseMatrix();
-  const Basis centre = [] {
-    Basis b;
-    const Eigen::Vector3d half = splines(0.5);
-    for (int k = 0; k < 9; ++k) b[static_cast<std::size_t>(k)] = half[k % 3] * half[k / 3];
-    return b;
-  }();
+  const Basis centre = products(splines(0.5), splines(0.5));
   // Number of draws kept in memory at a time.
   constexpr int batch = 8;
   Image<float> sum({columns_, rows_}, 1, 0.0F);
   for (int first = 0; first < samples; first += batch) {
-    Eigen::MatrixXd drawn =
-        Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(unknowns_), std::min(batch, samples - first));
+    Eigen::MatrixXd drawn = Eigen::MatrixXd::Zero(nodes_.count(), std::min(batch, samples - first));
     parallel_for(context_, static_cast<std::size_t>(drawn.cols()), 1, [&](std::size_t k, std::size_t) {
       draw(root, seed + static_cast<std::uint64_t>(first) + k, drawn.col(static_cast<Eigen::Index>(k)));
     });
@@ -545,7 +456,7 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
       const auto ids = cell_unknowns(cell);
       for (Eigen::Index column = 0; column < drawn.cols(); ++column) {
         double value = 0;
-        for (std::size_t k = 0; k < 9; ++k) value += centre[k] * drawn(ids[k], column);
+        for (int k = 0; k < 9; ++k) value += centre[k] * drawn(ids[static_cast<std::size_t>(k)], column);
         sum[cell] += static_cast<float>(value * value / samples);
       }
     });

@@ -10,6 +10,7 @@
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/core/pixel_rect_internal.h"
+#include "malus/linalg/grid_system_internal.h"
 #include "malus/linalg/symmetric_solver_internal.h"
 #include "malus/prior/visible_points_internal.h"
 
@@ -38,7 +39,7 @@ class SmoothingSpline {
   SmoothingSpline(const Mask& mask, PixelRect box, double cell_px, double tension_px, std::span<const ViewPoint> points,
                   const Context& context);
 
-  std::size_t unknowns() const { return unknowns_; }
+  int unknowns() const { return nodes_.count(); }
   std::size_t points() const { return points_.size(); }
   /// Minimizes with the current weights.
   void solve(double lambda, double kappa);
@@ -75,15 +76,19 @@ class SmoothingSpline {
   const PixelRect& box() const { return box_; }
 
  private:
-  using Basis = std::array<double, 9>;
+  using Basis = Eigen::Matrix<double, 9, 1>;
+  using SlopeBasis = Eigen::Matrix<double, 9, 2>;
 
   std::size_t cell_of(double u, double v) const;
+  /// Position in the cell, 0 … 1 along each axis.
+  Eigen::Vector2d place_in_cell(double u, double v) const;
   Basis basis(double u, double v) const;
   /// Derivatives of `basis` by u and v.
-  std::array<Basis, 2> slope_basis(double u, double v) const;
+  SlopeBasis slope_basis(double u, double v) const;
+  std::array<int, 9> cell_unknowns(std::size_t cell) const;
+  Basis cell_coefficients(std::size_t cell) const;
   double value(std::size_t cell, const Basis& weights) const;
   Eigen::Vector2d slope_residual(const ViewPoint& p, std::size_t cell) const;
-  std::array<std::int32_t, 9> cell_unknowns(std::size_t cell) const;
   /// For each cell, how likely points nearer than f belong to a raised part of the surface, 0 … 1: from the number of
   /// such points around the cell and from their share of all points there. `residuals`: of the points, over their
   /// spread, as if seen from the front.
@@ -92,10 +97,8 @@ class SmoothingSpline {
   /// parts.
   void keep_raised_parts(std::span<const float> residuals, std::span<float> weights, std::span<float> slope_weights);
   void set_tilt();
-  void build_pattern();
-  std::vector<int> elimination_order() const;
-  void assemble(double lambda, double kappa);
-  Eigen::VectorXd right_side() const;
+  /// Of the current weights, λ and κ.
+  GridSystem normal_equations() const;
   /// Random right-hand side of covariance A (the normal matrix), made row by row of the problem: its solution is a draw
   /// with the posterior's covariance A⁻¹.
   void draw(const Eigen::Matrix<double, 9, 9>& stiffness_root, std::uint64_t seed,
@@ -108,10 +111,9 @@ class SmoothingSpline {
   Context context_;
   PixelRect box_;
   double cell_px_;
-  int columns_, rows_;                 ///< of cells; there are two more control points in each direction
-  std::vector<std::uint8_t> active_;   ///< per cell
-  std::vector<std::int32_t> unknown_;  ///< unknown of each control point; -1 = none
-  std::size_t unknowns_ = 0;
+  int columns_, rows_;                     ///< of cells; there are two more control points in each direction
+  std::vector<std::uint8_t> active_;       ///< per cell
+  PixelIndex nodes_;                       ///< control points of the active cells: the unknowns
   LargeVector<ViewPoint> points_;          ///< sorted by cell
   std::vector<std::uint32_t> cell_start_;  ///< index in points_ of each cell's first point
   std::vector<float> weights_, slope_weights_;
@@ -119,10 +121,8 @@ class SmoothingSpline {
   std::vector<float> tilt_;                ///< factor from a cell's bending in the image to the bending of the surface
   std::vector<float> softening_;           ///< factor of λ², per cell
   std::vector<float> raised_;              ///< largest value of raised_parts so far, per cell
-  std::vector<std::int32_t> slots_;        ///< 13 per column: positions of the lower neighbors' matrix entries
   double lambda_ = 0, kappa_ = 0;
   Eigen::VectorXd coefficients_;
-  SymmetricSolver::Matrix matrix_;  ///< lower triangle
   SymmetricSolver solver_;
   bool analyzed_ = false;
 };

@@ -18,11 +18,10 @@ namespace {
 /// Spacing of the visible points: that of evenly spread points with the same distance of the farthest neighbor
 /// (median).
 double spacing_of(const PointJudgement& judgement, int neighbors, const Context& context) {
-  const auto distances = [&](std::size_t begin, std::size_t end, float* values) {
-    for (std::size_t i = begin; i < end; ++i)
-      values[i - begin] = judgement.hidden[i] ? std::numeric_limits<float>::quiet_NaN() : judgement.distance2[i];
+  const auto distance2 = [&](std::size_t i) {
+    return judgement.hidden[i] ? std::numeric_limits<float>::quiet_NaN() : judgement.distance2[i];
   };
-  RankedValues ranked(judgement.distance2.size(), distances, context);
+  RankedValues ranked(judgement.distance2.size(), distance2, context);
   const std::size_t found = std::min(static_cast<std::size_t>(neighbors), ranked.size() - 1);
   if (found == 0) return 0;
   return std::sqrt(std::numbers::pi * ranked.at(std::array{ranked.size() / 2}).front() / static_cast<double>(found));
@@ -31,7 +30,7 @@ double spacing_of(const PointJudgement& judgement, int neighbors, const Context&
 }  // namespace
 
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
-                             const VisibilityOptions& options, const Context& context) {
+                             const PriorOptions& options, const Context& context) {
   if (!cloud.normals.empty() && cloud.normals.size() != cloud.points.size()) {
     throw input_error("prior cloud: " + std::to_string(cloud.normals.size()) +
                       " normals, expected none or one for each of " + std::to_string(cloud.points.size()) + " points");

@@ -9,6 +9,7 @@
 #include "malus/core/image.h"
 #include "malus/core/large_allocator.h"
 #include "malus/core/pose.h"
+#include "malus/options/prior_options.h"
 
 namespace malus {
 
@@ -51,20 +52,12 @@ struct VisiblePoints {
   PointCensus census;
 };
 
-/// Limits of the choice of points (see PriorOptions).
-struct VisibilityOptions {
-  int neighbors = 16;
-  double outlier_tolerance = 4;
-  double outlier_floor_gsd = 4;
-  double max_slope_deg = 75;
-};
-
 /// Points of a cloud (world frame) that the station sees on the object: points in front of the camera and inside the
 /// mask, projected by the collinearity equations (Eq 12, into the undistorted view), that face the camera (where the
 /// cloud has normals), are not hidden behind nearer points around them, and are not outliers among their nearest
 /// neighbors in the view. Points of one pixel at the same depth are averaged, and so are their normals. Throws an input
 /// error for values that are not finite or normals that do not match the points.
 VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
-                             const VisibilityOptions& options, const Context& context);
+                             const PriorOptions& options, const Context& context);
 
 }  // namespace malus

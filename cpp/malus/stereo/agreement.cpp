@@ -1,9 +1,9 @@
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/stereo/agreement_internal.h"
@@ -61,6 +61,7 @@ void fill_result(const PassResult& pass, const HalvesDifference& halves, double 
                  const SweepOptions& options, const Context& context, SweepResult& result) {
   result.depth = Image<float>(mask.size(), 1, none);
   result.sigma = result.confidence = result.depth;
+  Image<float> kept = result.depth;
   parallel_rows(context, mask.height(), [&](int v) {
     const std::vector<Surroundings> columns =
         result.halves_compared ? column_sums(halves, v) : std::vector<Surroundings>();
@@ -77,15 +78,10 @@ void fill_result(const PassResult& pass, const HalvesDifference& halves, double 
       result.depth(u, v) = static_cast<float>(z);
       result.sigma(u, v) = static_cast<float>(z * std::max(sigma_px / rate, options.sigma_floor_gsd / focal));
       result.confidence(u, v) = static_cast<float>(pass.score(u, v) * agreement);
+      kept(u, v) = pass.log_depth(u, v);
     }
   });
-  Image<float> kept(mask.size(), 1, none);
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (std::isfinite(result.depth(u, v))) kept(u, v) = pass.log_depth(u, v);
-    }
-  });
-  const double object = static_cast<double>(mask.count() - static_cast<std::size_t>(std::ranges::count(mask, 0)));
+  const double object = static_cast<double>(count_of_set(mask));
   const double region_step = region_step_px / rate;
   remove_small_regions(kept, region_step, options.min_region_px, context);
   const auto found = std::ranges::count_if(kept, [](float value) { return std::isfinite(value); });
@@ -96,19 +92,15 @@ void fill_result(const PassResult& pass, const HalvesDifference& halves, double 
     }
   });
 
-  std::array<std::vector<float>, 2> scores_and_sigmas;
-  std::array<double, 2> medians{};
-  parallel_for(context, 2, 1, [&](std::size_t k, std::size_t) {
-    std::vector<float>& values = scores_and_sigmas[k];
-    for (std::size_t i = 0; i < mask.count(); ++i) {
-      if (!std::isfinite(result.depth[i])) continue;
-      values.push_back(k == 0 ? pass.score[i] : static_cast<float>(result.sigma[i] / result.depth[i] * focal));
-    }
-    medians[k] = median_in_place(values);
-  });
-  result.completeness = static_cast<double>(scores_and_sigmas[0].size()) / object;
-  result.median_score = medians[0];
-  result.median_sigma_gsd = medians[1];
+  std::vector<float> scores, sigmas_gsd;
+  for (std::size_t i = 0; i < mask.count(); ++i) {
+    if (!std::isfinite(result.depth[i])) continue;
+    scores.push_back(pass.score[i]);
+    sigmas_gsd.push_back(static_cast<float>(result.sigma[i] / result.depth[i] * focal));
+  }
+  result.completeness = static_cast<double>(scores.size()) / object;
+  result.median_score = median_in_place(scores);
+  result.median_sigma_gsd = median_in_place(sigmas_gsd);
 }
 
 }  // namespace malus

@@ -6,6 +6,8 @@
 #include <utility>
 
 #include "malus/core/error.h"
+#include "malus/core/even_choice_internal.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/stereo/first_surface_internal.h"
@@ -25,17 +27,6 @@ std::vector<StationPoint> evenly(const std::vector<StationPoint>& points, std::s
   return taken;
 }
 
-/// Quantile of the values, which are reordered.
-double quantile(std::vector<double>& values, double share) {
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
-}
-
-double object_pixels(const Mask& mask) {
-  return static_cast<double>(std::count_if(mask.begin(), mask.end(), [](std::uint8_t m) { return m != 0; }));
-}
-
 /// Points count as on the surface if their window, parallel to the image, has at least this correlation. The best
 /// `min_points` are always kept.
 constexpr float visible_score = 0.6F;
@@ -48,7 +39,8 @@ std::vector<float> point_scores(const std::vector<StationPoint>& points, const M
     for (std::size_t k = begin; k < end; ++k) {
       const StationPoint& point = points[k];
       const PixelRect pixel{point.u, point.v, point.u + 1, point.v + 1};
-      TileMatcher matcher(level, pixel, static_cast<float>(point.log_depth), settings);
+      const auto base = [&](int, int) { return static_cast<float>(point.log_depth); };
+      TileMatcher matcher(level, pixel, base, settings);
       if (matcher.views() == 0) continue;
       TileMatcher::Scores found;
       matcher.prepare(0, 1e-3F);
@@ -116,7 +108,8 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   // For a starting surface the smoothing need not be optimal, nor the variance exact.
   PriorOptions options;
   options.min_points = 3;
-  options.smoothing_px = std::max(1.0, std::sqrt(object_pixels(level.mask) / static_cast<double>(cloud.points.size())));
+  const auto object_pixels = static_cast<double>(count_of_set(level.mask));
+  options.smoothing_px = std::max(1.0, std::sqrt(object_pixels / static_cast<double>(cloud.points.size())));
   options.sigma_samples = 4;
   options.keep_raised = false;  // neighbors share matching windows, so they agree even if they are wrong
   Context silent = context;
@@ -136,7 +129,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
     if (std::isfinite(residual)) residuals.push_back(residual);
   }
   // A few percent of triangulated points are wrong: these must not determine the range.
-  first.range = std::max(5 * quantile(relative_sigma, 0.9), 2 * quantile(residuals, 0.95));
+  first.range = std::max(5 * quantile_in_place(relative_sigma, 0.9), 2 * quantile_in_place(residuals, 0.95));
   return first;
 }
 

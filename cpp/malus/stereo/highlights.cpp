@@ -43,9 +43,8 @@ float median_on(const Image<float>& values, const Mask& mask) {
 
 /// ln of a photo's intensity over the station's at every second pixel, its median 0; NaN where the photo does not see
 /// the surface. `photo` is at half its size.
-Image<float> log_ratio(const SweepInput& input, const Image<float>& station, const Mask& mask, const SweepView& view,
+Image<float> log_ratio(const Image<float>& station, const Mask& mask, const ViewProjection& projection,
                        const Image<float>& photo, const Image<float>& log_depth, const Context& context) {
-  const ViewProjection projection(input.camera, input.pose, view.camera, view.pose);
   Image<float> ratio(mask.size(), 1, none);
   parallel_rows(context, mask.height(), [&](int v) {
     const auto count = static_cast<std::size_t>(mask.width());
@@ -65,19 +64,20 @@ Image<float> log_ratio(const SweepInput& input, const Image<float>& station, con
 
 }  // namespace
 
-Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
-                     std::span<const std::size_t> seeing,
-                     const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
-                     int reach_px, const Context& context) {
-  if (seeing.size() < least_views) return Mask(input.mask.size(), 1, 0);
+Mask find_highlights(const Image<float>& reference, const Mask& object, const ViewChoice& photos,
+                     const Image<float>& log_depth, int reach_px, const Context& context) {
+  // A photo from behind shows another surface where this one would be.
+  const std::vector<std::size_t> seeing = photos.seeing();
+  if (seeing.size() < least_views) return Mask(object.size(), 1, 0);
   const OpenCvThreads opencv_threads(context.threads);
   // Half the resolution has less noise, and there a surface error of one pixel does not matter.
   const Image<float> station = halved(reference, context);
-  const Mask mask = halved(input.mask, context);
+  const Mask mask = halved(object, context);
   const Image<float> surface = halved_surface(log_depth, mask, context);
   std::vector<Image<float>> ratios(seeing.size());
   parallel_for(context, seeing.size(), 1, [&](std::size_t k, std::size_t) {
-    ratios[k] = log_ratio(input, station, mask, views[seeing[k]], halved_photo(seeing[k]), surface, context);
+    ratios[k] = log_ratio(station, mask, photos.projection(seeing[k]), photos.halved_photo(seeing[k], context), surface,
+                          context);
   });
 
   Image<float> excess(mask.size(), 1, none);
@@ -105,7 +105,7 @@ Mask find_highlights(const SweepInput& input, const Image<float>& reference, std
   const int width = 2 * ((reach_px + 1) / 2) + 1;
   cv::Mat region = as_mat(shines);
   cv::dilate(region, region, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
-  Mask result(input.mask.size(), 1, 0);
+  Mask result(object.size(), 1, 0);
   parallel_rows(context, result.height(), [&](int v) {
     for (int u = 0; u < result.width(); ++u) result(u, v) = shines(u / 2, v / 2);
   });

@@ -1,12 +1,8 @@
 #pragma once
 
-#include <cstddef>
-#include <functional>
-#include <span>
-
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/stereo/surface_sweep_internal.h"
+#include "malus/stereo/view_choice_internal.h"
 
 namespace malus {
 
@@ -15,13 +11,9 @@ namespace malus {
 /// depth is not that of the surface, so photos agree on a wrong depth. Pixels within `reach_px` of a highlight are
 /// included, as their windows contain it.
 ///
-/// reference: the station's intensity, coded like the photos. log_depth: ln z of the surface, without gaps on the mask.
-/// Only cameras and poses of `views` are used, and only of those whose numbers are in `seeing`; `halved_photo` returns
-/// the photos at half their size and is called from several threads at once. With fewer than three photos the mask is
-/// empty.
-Mask find_highlights(const SweepInput& input, const Image<float>& reference, std::span<const SweepView> views,
-                     std::span<const std::size_t> seeing,
-                     const std::function<Image<float>(std::size_t view)>& halved_photo, const Image<float>& log_depth,
-                     int reach_px, const Context& context);
+/// reference: the station's intensity, coded like the photos. object: the station's mask. log_depth: ln z of the
+/// surface, without gaps on the mask. If fewer than three photos see the surface, the mask is empty.
+Mask find_highlights(const Image<float>& reference, const Mask& object, const ViewChoice& photos,
+                     const Image<float>& log_depth, int reach_px, const Context& context);
 
 }  // namespace malus

@@ -2,7 +2,7 @@
 #include <array>
 #include <cstdint>
 #include <opencv2/imgproc.hpp>
-#include <utility>
+#include <vector>
 
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
@@ -56,13 +56,6 @@ Mask halved(const Mask& mask, const Context& context) {
     for (int u = 0; u < half.width(); ++u) half(u, v) = grown.at<std::uint8_t>(2 * v, 2 * u) != 0 ? 255 : 0;
   });
   return half;
-}
-
-std::vector<Image<float>> intensity_pyramid(Image<float> image, int levels, const Context& context) {
-  std::vector<Image<float>> pyramid;
-  pyramid.push_back(std::move(image));
-  while (static_cast<int>(pyramid.size()) < levels) pyramid.push_back(halved(pyramid.back(), context));
-  return pyramid;
 }
 
 }  // namespace malus

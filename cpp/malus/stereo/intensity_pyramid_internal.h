@@ -1,7 +1,5 @@
 #pragma once
 
-#include <vector>
-
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
@@ -16,8 +14,5 @@ Pinhole halved(const Pinhole& camera);
 /// A pixel of the result is set if any pixel of the mask within 2 px of it is set: then each pixel of the mask lies
 /// between set pixels of the result.
 Mask halved(const Mask& mask, const Context& context);
-
-/// The image and its reductions, each half as large as the one before; `levels` images in all.
-std::vector<Image<float>> intensity_pyramid(Image<float> image, int levels, const Context& context);
 
 }  // namespace malus

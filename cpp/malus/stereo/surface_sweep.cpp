@@ -38,7 +38,7 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   require_size(input.intensity, input.camera.size, "surface sweep: the station's intensity");
   require_size(input.mask, input.camera.size, "surface sweep: mask");
   require_finite(is_finite(input.intensity), "surface sweep: the station's intensity");
-  if (std::none_of(input.mask.begin(), input.mask.end(), [](std::uint8_t m) { return m != 0; })) {
+  if (count_of_set(input.mask) == 0) {
     throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
   }
   if (input.surface.count() > 0) {
@@ -126,14 +126,13 @@ int level_count(Size size, int min_level_px) {
 struct Sweep {
   double step_px;
   int half_count;
-  bool regularize;
   double smooth_px;  ///< sigma of the surface's smoothing before the sweep
 };
 
-constexpr std::array coarse_sweeps{Sweep{0.5, 6, true, 1.0}};
+constexpr std::array coarse_sweeps{Sweep{0.5, 6, 1.0}};
 /// The first sweep reaches far enough for the two halves of the photos to disagree; with a shorter reach they would
 /// agree by chance.
-constexpr std::array finest_sweeps{Sweep{0.75, 2, true, 1.0}, Sweep{0.25, 2, true, 1.75}};
+constexpr std::array finest_sweeps{Sweep{0.75, 2, 1.0}, Sweep{0.25, 2, 1.75}};
 /// Farthest total offset of consecutive sweeps, px of their level.
 double reach_px(std::span<const Sweep> sweeps) {
   double reach = 0;
@@ -165,30 +164,31 @@ class SurfaceSweep {
         photos_(input, views_, options, context) {}
 
   SweepResult run() {
+    std::vector<MatchLevel> levels;
+    levels.push_back({coded(input_.intensity, options_.station_gamma, context_), input_.mask, input_.camera, 1, {}});
     const int most = level_count(input_.camera.size, options_.min_level_px);
-    const int levels = is_known() ? std::min(most, levels_of_known()) : most;
-    std::vector<Image<float>> references =
-        intensity_pyramid(coded(input_.intensity, options_.station_gamma, context_), levels, context_);
-    std::vector<Mask> masks{input_.mask};
-    std::vector<Pinhole> cameras{input_.camera};
-    while (static_cast<int>(masks.size()) < levels) {
-      masks.push_back(halved(masks.back(), context_));
-      cameras.push_back(halved(cameras.back()));
+    const int count = is_known() ? std::min(most, levels_of_known(levels.front())) : most;
+    while (static_cast<int>(levels.size()) < count) {
+      const MatchLevel& finer = levels.back();
+      levels.push_back({halved(finer.reference, context_),
+                        halved(finer.mask, context_),
+                        halved(finer.camera),
+                        2 * finer.reduction,
+                        {}});
     }
-    const std::vector<Image<float>> shapes = shape_pyramid(masks);
-    enter_level(levels - 1, references, masks, cameras, shapes);
-    if (is_known()) {
-      start_from_surface();
-    } else {
-      start();
-    }
+    std::vector<Image<float>> shapes = shape_pyramid(levels);
 
-    for (int k = levels - 1; k >= 0; --k) {
-      if (k + 1 < levels) {
-        enter_level(k, references, masks, cameras, shapes);
+    for (std::size_t k = levels.size(); k-- > 0;) {
+      level_ = std::move(levels[k]);
+      shape_ = std::move(shapes[k]);
+      if (k + 1 < levels.size()) {
         deviation_ = doubled(deviation_, level_.mask, context_);
         fill_gaps(deviation_, level_.mask, context_);
         prepare_photos();
+      } else if (is_known()) {
+        start_from_surface();
+      } else {
+        start();
       }
       if (k > 0) {
         for (const Sweep& step : coarse_sweeps) sweep(step);
@@ -201,16 +201,6 @@ class SurfaceSweep {
   }
 
  private:
-  void enter_level(int k, std::vector<Image<float>>& references, std::vector<Mask>& masks,
-                   const std::vector<Pinhole>& cameras, const std::vector<Image<float>>& shapes) {
-    const auto at = static_cast<std::size_t>(k);
-    level_.reference = std::move(references[at]);
-    level_.mask = std::move(masks[at]);
-    level_.camera = cameras[at];
-    level_.reduction = 1 << k;
-    shape_ = shapes[at];
-  }
-
   void prepare_photos() {
     photos_.prepare(level_, context_);
     rate_ = photos_.parallax(level_);
@@ -220,36 +210,33 @@ class SurfaceSweep {
 
   /// Number of levels whose offsets reach the known surface's standard deviation nearly everywhere. More levels would
   /// only add chance matches.
-  int levels_of_known() {
-    level_.mask = input_.mask;
-    level_.camera = input_.camera;
-    level_.reduction = 1;
-    photos_.choose(level_, log_of(input_.surface, context_));
-    const double rate = photos_.parallax(level_);
+  int levels_of_known(const MatchLevel& finest) {
+    photos_.choose(finest, log_of(input_.surface, context_));
+    const double rate = photos_.parallax(finest);
     std::vector<double> sigmas_px;
     for (std::size_t i = 0; i < input_.mask.count(); ++i) {
       const double relative = input_.surface_sigma[i] / input_.surface[i];
       if (input_.mask[i] != 0 && std::isfinite(relative)) sigmas_px.push_back(rate * relative);
     }
-    const auto at = sigmas_px.begin() + static_cast<std::ptrdiff_t>(known_reach * (sigmas_px.size() - 1));
-    std::nth_element(sigmas_px.begin(), at, sigmas_px.end());
+    const double wanted = quantile_in_place(sigmas_px, known_reach);
     int levels = 1;
-    for (double reach = reach_px(finest_sweeps); reach < *at; ++levels) {
+    for (double reach = reach_px(finest_sweeps); reach < wanted; ++levels) {
       reach += std::ldexp(reach_px(coarse_sweeps), levels);
     }
     return levels;
   }
 
   /// ln z of the known surface at every level, without gaps; 0 without one.
-  std::vector<Image<float>> shape_pyramid(const std::vector<Mask>& masks) const {
+  std::vector<Image<float>> shape_pyramid(const std::vector<MatchLevel>& levels) const {
     std::vector<Image<float>> shapes;
-    for (const Mask& mask : masks) shapes.emplace_back(mask.size(), 1, 0.0F);
-    if (!is_known()) return shapes;
-    shapes[0] = log_of(input_.surface, context_);
-    fill_gaps(shapes[0], masks[0], context_);
-    for (std::size_t k = 1; k < shapes.size(); ++k) {
-      shapes[k] = halved_surface(shapes[k - 1], masks[k], context_);
-      fill_gaps(shapes[k], masks[k], context_);
+    for (const MatchLevel& level : levels) {
+      if (!is_known()) {
+        shapes.emplace_back(level.mask.size(), 1, 0.0F);
+        continue;
+      }
+      shapes.push_back(shapes.empty() ? log_of(input_.surface, context_)
+                                      : halved_surface(shapes.back(), level.mask, context_));
+      fill_gaps(shapes.back(), level.mask, context_);
     }
     return shapes;
   }
@@ -292,7 +279,7 @@ class SurfaceSweep {
     prepare_photos();
     const double wanted = std::ceil(first.range * rate_ / first_step_px);
     const double most = std::ceil(options_.max_search / first_step_px);
-    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), true, 1.0});
+    sweep({first_step_px, static_cast<int>(std::clamp(wanted, 12.0, std::max(most, 12.0))), 1.0});
   }
 
   void sweep(const Sweep& step) {
@@ -300,7 +287,6 @@ class SurfaceSweep {
     PassSettings settings;
     settings.half_count = step.half_count;
     settings.step = static_cast<float>(step.step_px / rate_);
-    settings.regularize = step.regularize;
     // Penalties refer to a change of the surface, so they are smaller for finer offsets.
     const double fineness = step.step_px / penalty_step_px;
     settings.small_step = static_cast<float>(options_.small_step * fineness);
@@ -314,20 +300,13 @@ class SurfaceSweep {
     const Image<float> before = sum(shape_, deviation_, context_);
     pass_ = run_pass(level_, before, settings, context_);
     SweepPassReport report;
-    float score = 0, change = 0;
-    parallel_for(context_, 2, 1, [&](std::size_t task, std::size_t) {
-      if (task == 0) {
-        score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; });
-      } else {
-        change = typical(before.count(), [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); });
-      }
-    });
     const double gsd = 1 / input_.camera.focal();
     report.reduction = level_.reduction;
     report.offsets = 2 * step.half_count + 1;
     report.step_gsd = settings.step / gsd;
-    report.score = score;
-    report.change_gsd = change / gsd;
+    report.score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; });
+    report.change_gsd =
+        typical(before.count(), [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); }) / gsd;
     report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     result_.passes.push_back(report);
     if (level_.reduction == 1) {
@@ -370,19 +349,15 @@ class SurfaceSweep {
   bool leave_out_highlights() {
     Image<float> surface = pass_.log_depth;
     fill_gaps(surface, level_.mask, context_);
-    const auto halved_photo = [&](std::size_t view) { return photos_.halved_photo(view, context_); };
-    // A photo from behind shows another surface where this one would be.
-    const Mask shines = find_highlights(input_, level_.reference, views_, photos_.seeing(), halved_photo, surface,
-                                        match_settings().radius + 1, context_);
-    double count = 0, of = 0;
+    const Mask shines =
+        find_highlights(level_.reference, level_.mask, photos_, surface, match_settings().radius + 1, context_);
+    double count = 0;
     for (std::size_t i = 0; i < shines.count(); ++i) {
-      if (level_.mask[i] == 0) continue;
-      ++of;
-      if (shines[i] == 0) continue;
+      if (level_.mask[i] == 0 || shines[i] == 0) continue;
       ++count;
       pass_.log_depth[i] = std::numeric_limits<float>::quiet_NaN();
     }
-    result_.highlights = count / of;
+    result_.highlights = count / static_cast<double>(count_of_set(level_.mask));
     return count > 0;
   }
 

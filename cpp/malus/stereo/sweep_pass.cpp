@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/semi_global_internal.h"
 #include "malus/stereo/sweep_pass_internal.h"
 
@@ -34,18 +35,6 @@ Peak lowest(const float* costs, std::size_t labels) {
   const float curvature = before + after - 2 * costs[at];
   if (curvature > 0) peak.label += 0.5F * (before - after) / curvature;
   return peak;
-}
-
-/// Bounding box of the object's pixels within a box; empty if there are none.
-PixelRect object_within(const Mask& mask, PixelRect box) {
-  PixelRect object{box.u1, box.v1, box.u0, box.v0};
-  for (int v = box.v0; v < box.v1; ++v) {
-    for (int u = box.u0; u < box.u1; ++u) {
-      if (mask(u, v) == 0) continue;
-      object = {std::min(object.u0, u), std::min(object.v0, v), std::max(object.u1, u + 1), v + 1};
-    }
-  }
-  return object;
 }
 
 /// Matching costs (1 − correlation) of every offset, pixels of the tile × offsets.
@@ -86,17 +75,15 @@ TileCosts tile_costs(TileMatcher& matcher, const PassSettings& settings, std::si
 
 void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelRect inner, const PassSettings& settings,
                 const Context& context, PassResult& result) {
-  const int margin = settings.regularize ? run_in : 0;
-  const PixelRect tile = inner.grown(margin, level.mask.size());
-  TileMatcher matcher(level, tile, log_depth, settings.match);
+  const PixelRect tile = inner.grown(run_in, level.mask.size());
+  const auto base = [&](int u, int v) { return log_depth(u, v); };
+  TileMatcher matcher(level, tile, base, settings.match);
   if (matcher.views() == 0) return;
   const auto width = static_cast<std::size_t>(tile.width()), height = static_cast<std::size_t>(tile.height());
   const auto labels = static_cast<std::size_t>(2 * settings.half_count + 1);
   const TileCosts costs = tile_costs(matcher, settings, width * height, context);
   std::vector<float> aggregated = costs.all;
-  if (settings.regularize) {
-    aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
-  }
+  aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
   for (int v = inner.v0; v < inner.v1; ++v) {
     for (int u = inner.u0; u < inner.u1; ++u) {
       const std::size_t i = static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
@@ -123,7 +110,7 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
   for (int v = 0; v < size.height; v += side) {
     for (int u = 0; u < size.width; u += side) {
       const PixelRect tile =
-          object_within(level.mask, {u, v, std::min(u + side, size.width), std::min(v + side, size.height)});
+          bounding_box(level.mask, {u, v, std::min(u + side, size.width), std::min(v + side, size.height)});
       if (tile.v0 < tile.v1) tiles.push_back(tile);
     }
   }

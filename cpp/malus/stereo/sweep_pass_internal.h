@@ -8,10 +8,9 @@ namespace malus {
 
 /// One sweep of offsets about a base surface.
 struct PassSettings {
-  int half_count = 4;       ///< offsets on either side of the base
-  float step = 0;           ///< between offsets, in ln z
-  bool regularize = false;  ///< semi-global matching; otherwise each pixel takes its best offset
-  float small_step = 0;     ///< penalties of semi-global matching, in units of correlation
+  int half_count = 4;    ///< offsets on either side of the base
+  float step = 0;        ///< between offsets, in ln z
+  float small_step = 0;  ///< penalties of semi-global matching, in units of correlation
   float large_step = 0;
   MatchSettings match;
 };

@@ -7,7 +7,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/image.h"
-#include "malus/prior/smoothing_spline_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/photo_cells_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 
@@ -51,14 +51,10 @@ class TileMatcher {
     std::vector<float> lines;                ///< scratch: sums along the rows of a window, for each view
   };
 
-  /// `log_depth` is the base surface over the whole level, NaN outside the object.
-  TileMatcher(const MatchLevel& level, PixelRect tile, const Image<float>& log_depth, const MatchSettings& settings)
-      : TileMatcher(
-            level, tile, [&](int u, int v) { return log_depth(u, v); }, settings) {}
-  /// The same with a base surface of one depth.
-  TileMatcher(const MatchLevel& level, PixelRect tile, float log_depth, const MatchSettings& settings)
-      : TileMatcher(
-            level, tile, [&](int, int) { return log_depth; }, settings) {}
+  /// ln z of the base surface at a pixel of the level, NaN outside the object.
+  using Surface = std::function<float(int u, int v)>;
+
+  TileMatcher(const MatchLevel& level, PixelRect tile, const Surface& log_depth, const MatchSettings& settings);
 
   /// Number of compared views, which see at least one pixel of the tile; without any, every score is 0.
   std::size_t views() const { return views_.size(); }
@@ -73,10 +69,6 @@ class TileMatcher {
   void score(float offset, Scores& scores) const;
 
  private:
-  using Surface = std::function<float(int u, int v)>;
-
-  TileMatcher(const MatchLevel& level, PixelRect tile, const Surface& log_depth, const MatchSettings& settings);
-
   struct View {
     const MatchView* view;
     std::vector<float> seen;                 ///< 1 or 0, for each pixel of the tile

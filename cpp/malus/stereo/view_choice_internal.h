@@ -34,7 +34,8 @@ class ViewChoice {
   /// views of an earlier level become invalid. The level of reduction 1 must be the last: photos that it needs at full
   /// size are kept as cells only, and the intensities of their views are freed.
   void prepare(MatchLevel& level, const Context& context);
-  /// A photo at half its size.
+  const ViewProjection& projection(std::size_t photo) const { return photos_[photo].projection; }
+  /// A photo at half its size; several threads may call this at once.
   Image<float> halved_photo(std::size_t photo, const Context& context) const;
 
  private:

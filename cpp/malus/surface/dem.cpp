@@ -15,8 +15,6 @@
 namespace malus {
 namespace {
 
-constexpr float below_everything = -std::numeric_limits<float>::infinity();
-
 template <class Visit>
 void for_strips(const MeshInStrips& mesh, const Context& context, Visit&& visit) {
   parallel_for(context, mesh.strips, 1,
@@ -25,9 +23,8 @@ void for_strips(const MeshInStrips& mesh, const Context& context, Visit&& visit)
 
 double median_gsd(const FusedSurface& surface, const Context& context) {
   const Image<float>& depth = surface.depth;
-  const auto usable = [&depth](std::size_t begin, std::size_t end, float* to) {
-    std::transform(depth.data() + begin, depth.data() + end, to,
-                   [](float z) { return z > 0 ? z : std::numeric_limits<float>::quiet_NaN(); });
+  const auto usable = [&depth](std::size_t i) {
+    return depth[i] > 0 ? depth[i] : std::numeric_limits<float>::quiet_NaN();
   };
   RankedValues depths(depth.count(), usable, context);
   return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
@@ -43,13 +40,6 @@ Plane object_plane(const MeshInStrips& mesh, const Eigen::Vector3d& viewpoint, c
       spread[k] = strip.mesh.vertices.points[k * stride - first];
   });
   return fit_plane(spread, viewpoint, PlaneWeights::robust, context).plane;
-}
-
-template <class Change>
-void for_values(Image<float>& image, const Context& context, Change&& change) {
-  parallel_for(context, image.count(), std::size_t{1} << 19, [&](std::size_t begin, std::size_t end) {
-    std::for_each(image.data() + begin, image.data() + end, change);
-  });
 }
 
 /// Elevation model with its axes; its origin is the plane's centroid until allocate() moves it.
@@ -93,16 +83,16 @@ void allocate(Dem& dem, const MeshInStrips& mesh, bool may_grow, const Context& 
   dem.pixel *= growth;
   const Eigen::Array2d low = box.min().array() / growth, extent = (box.sizes().array() / growth).floor() + 1;
   dem.origin = dem.world(low.x(), low.y(), 0);
-  dem.elevation = Image<float>::uninitialized({static_cast<int>(extent.x()), static_cast<int>(extent.y())});
-  for_values(dem.elevation, context, [](float& value) { value = below_everything; });
+  dem.elevation = Image<float>({static_cast<int>(extent.x()), static_cast<int>(extent.y())}, 1,
+                               std::numeric_limits<float>::quiet_NaN());
 }
 
-/// Raises a pixel to this elevation. The maximum does not depend on the order, so that the raster does not depend on
-/// the threads.
+/// Raises a pixel, which may have no elevation yet, to this one. The maximum does not depend on the order, so that the
+/// raster does not depend on the threads.
 void raise(float& pixel, float elevation) {
   std::atomic_ref<float> shared(pixel);
   float present = shared.load(std::memory_order_relaxed);
-  while (elevation > present && !shared.compare_exchange_weak(present, elevation, std::memory_order_relaxed)) {
+  while (!(elevation <= present) && !shared.compare_exchange_weak(present, elevation, std::memory_order_relaxed)) {
   }
 }
 
@@ -167,9 +157,6 @@ Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const S
           {raster_coordinates(dem, points[a]), raster_coordinates(dem, points[b]), raster_coordinates(dem, points[c])},
           dem.elevation);
     }
-  });
-  for_values(dem.elevation, context, [](float& value) {
-    if (value == below_everything) value = std::numeric_limits<float>::quiet_NaN();
   });
   return dem;
 }

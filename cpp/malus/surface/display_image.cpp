@@ -3,6 +3,7 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/surface/display_image_internal.h"
 
@@ -32,9 +33,8 @@ double white_factor(const Image<float>& color, const Image<float>& depth, double
     }
   }
   if (values.empty()) return 1;
-  const auto rank = static_cast<std::ptrdiff_t>(percentile / 100 * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + rank, values.end());
-  return values[static_cast<std::size_t>(rank)] > 0 ? 1.0 / values[static_cast<std::size_t>(rank)] : 1;
+  const float white = quantile_in_place(values, percentile / 100);
+  return white > 0 ? 1.0 / white : 1;
 }
 
 constexpr int table_steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its steepest slope included

@@ -207,7 +207,7 @@ std::vector<std::size_t> starts_of(const std::vector<std::size_t>& counts) {
   return starts;
 }
 
-void require_consistent(const FusedSurface& surface, const Image<float>& color) {
+void require_consistent(const FusedSurface& surface) {
   require_size(surface.depth, surface.camera.size, "the depth map");
   if (!surface.normals.empty()) {
     require_size(surface.normals, surface.camera.size, "the normal map");
@@ -215,11 +215,6 @@ void require_consistent(const FusedSurface& surface, const Image<float>& color) 
       throw input_error("the normal map has " + std::to_string(surface.normals.channels()) + " channels, expected 3");
   }
   if (!surface.sigma.empty()) require_size(surface.sigma, surface.camera.size, "the sigma map");
-  if (color.empty()) return;
-  require_size(color, surface.camera.size, "the color image");
-  if (color.channels() != 1 && color.channels() != 3) {
-    throw input_error("the color image has " + std::to_string(color.channels()) + " channels, expected 1 or 3");
-  }
 }
 
 constexpr std::uint32_t unused = 0xffffffff;
@@ -328,7 +323,7 @@ class StripMaker {
 MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                             const Context& context) {
   validate_fields(options, "surface");
-  require_consistent(surface, color);
+  require_consistent(surface);
   context.progress("mesh", 0, "triangulating");
   const auto maker = std::make_shared<const StripMaker>(surface, color, options, context);
   if (maker->vertices() == 0) {

@@ -1,8 +1,10 @@
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/surface/plane_internal.h"
@@ -12,48 +14,32 @@ namespace {
 
 constexpr std::size_t grain = 1 << 15;
 
-struct Moments {
-  double weight = 0;
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d products = Eigen::Matrix3d::Zero();
-
-  Moments& operator+=(const Moments& other) {
-    weight += other.weight;
-    sum += other.sum;
-    products += other.products;
-    return *this;
-  }
-};
-
 /// Weighted plane; coordinates are relative to `origin`, near the points, so that sums keep their digits.
 template <class Weight>
 Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3d& origin, const Context& context,
                      Weight&& weight_of) {
-  const auto moments = parallel_sum(context, points.size(), grain, Moments{}, [&](std::size_t begin, std::size_t end) {
-    Moments part;
-    for (std::size_t i = begin; i < end; ++i) {
-      const double weight = weight_of(points[i]);
-      const Eigen::Vector3d x = points[i] - origin;
-      part.weight += weight;
-      part.sum += weight * x;
-      part.products += weight * x * x.transpose();
-    }
-    return part;
-  });
-  const Eigen::Vector3d mean = moments.sum / moments.weight;
-  const Eigen::Matrix3d covariance = moments.products / moments.weight - mean * mean.transpose();
+  const Eigen::Matrix4d zero = Eigen::Matrix4d::Zero();
+  // Of homogeneous coordinates: products of the coordinates, beside them their sums, and in the corner the weight.
+  const Eigen::Matrix4d moments =
+      parallel_sum(context, points.size(), grain, zero, [&](std::size_t begin, std::size_t end) {
+        Eigen::Matrix4d part = Eigen::Matrix4d::Zero();
+        for (std::size_t i = begin; i < end; ++i) {
+          const Eigen::Vector4d x = (points[i] - origin).homogeneous();
+          part += weight_of(points[i]) * x * x.transpose();
+        }
+        return part;
+      });
+  const Eigen::Vector3d mean = moments.topRightCorner<3, 1>() / moments(3, 3);
+  const Eigen::Matrix3d covariance = moments.topLeftCorner<3, 3>() / moments(3, 3) - mean * mean.transpose();
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
-/// 1.4826 × median of |distance|; the median of an even number of values is the mean of the two middle ones.
+/// 1.4826 × median of |distance|.
 double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
   std::vector<double> distances(points.size());
   std::transform(points.begin(), points.end(), distances.begin(),
                  [&](const Eigen::Vector3d& x) { return std::abs(plane.signed_distance(x)); });
-  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
-  std::nth_element(distances.begin(), middle, distances.end());
-  if (distances.size() % 2 == 1) return deviation_per_median * *middle;
-  return deviation_per_median * 0.5 * (*middle + *std::max_element(distances.begin(), middle));
+  return deviation_per_median * percentile_in_place(distances, 0.5);
 }
 
 Plane robust_plane(std::span<const Eigen::Vector3d> points, Plane plane, const Context& context) {

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <tuple>
 
 #include "malus/core/parallel_internal.h"
@@ -23,7 +24,7 @@ struct Range {
 /// Numbers of the points in an order of their own, so that sums are equal to the last bit whatever cube they are for.
 std::vector<std::size_t> in_order(const LatticePoints& points) {
   std::vector<std::size_t> order(points.at.size());
-  for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
+  std::iota(order.begin(), order.end(), std::size_t{0});
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
     const auto key = [&](std::size_t k) {
       const Eigen::Vector3d &p = points.at[k], &n = points.normals[k];

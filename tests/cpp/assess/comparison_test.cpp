@@ -284,8 +284,7 @@ TEST(Comparison, IcpOnAPlaneDoesNotSlide) {
 }
 
 TEST(Comparison, SameWithAnyNumberOfThreads) {
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   AssessOptions options;
   options.alignment = Alignment::rigid;
   TriangleMesh reference = mesh_of(wavy(0.3));

@@ -71,8 +71,7 @@ TEST(HighPass, FollowsItsDefinitionAcrossTilesBordersAndHoles) {
       image(u, v) = hole ? none : static_cast<float>(700 + 3 * std::sin(0.05 * u * v) + 0.01 * u - 0.02 * v);
     }
   }
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const Image<float> detail = high_pass(image, 3, {}), same = high_pass(image, 3, three);
   for (const int u : {0, 5, 300, 505, 511, 512, 518, 1023, 1024, 1045, 1099}) {
     for (const int v : {0, 7, 100, 249, 255, 256, 262, 480, 511, 512, 529}) {

@@ -200,8 +200,7 @@ TEST(Quality, FieldNamesAreUnique) {
 
 TEST(Quality, SameWithAnyNumberOfThreads) {
   const Case c;
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const Quality a = assess(c.input, {}, {}), b = assess(c.input, {}, three);
   EXPECT_EQ(a.prior_vs_fused->difference_detail_rms_gsd, b.prior_vs_fused->difference_detail_rms_gsd);
   EXPECT_EQ(a.profiles[0].roughness_fused_gsd, b.profiles[0].roughness_fused_gsd);

@@ -72,8 +72,7 @@ TEST(Registration, identical_images_do_not_move_at_fft_sizes) {
 
 TEST(Registration, threads_change_nothing) {
   const auto images = scene_images({moved_maps.begin(), moved_maps.begin() + 2}, 0.1);
-  Context four;
-  four.threads = 4;
+  const Context four{.threads = 4};
   const auto one = register_images(images, NoiseModel{}, {}, Context{}),
              many = register_images(images, NoiseModel{}, {}, four);
   EXPECT_NEAR((one[1].image_from_base - many[1].image_from_base).norm(), 0, 1e-9);

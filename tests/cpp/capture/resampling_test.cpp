@@ -89,8 +89,7 @@ TEST(Resampling, undistortion_and_registration_are_one_map) {
 TEST(Resampling, threads_do_not_change_a_bit) {
   const LensCamera lens{LensModel::radial, resampled_size, {80, 29, 21, 0.1, -0.05}};
   const ResamplingMap map(lens, similarity(resampled_size, 0.01, 1, 0.4, -0.3));
-  Context four;
-  four.threads = 4;
+  const Context four{.threads = 4};
   const Resampled one = resample(AnalyticScene().image(resampled_size, identity_affine(), 0), resampled_size, map,
                                  Interpolation::bicubic, Context{});
   const Resampled many = resample(AnalyticScene().image(resampled_size, identity_affine(), 0), resampled_size, map,

@@ -15,9 +15,7 @@
 namespace malus {
 
 inline Context two_threads() {
-  Context context;
-  context.threads = 2;
-  return context;
+  return {.threads = 2};
 }
 
 /// Input of a rendered station, with the values of its station file.

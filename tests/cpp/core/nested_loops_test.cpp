@@ -14,9 +14,7 @@ namespace malus {
 namespace {
 
 Context with_threads(int threads) {
-  Context context;
-  context.threads = threads;
-  return context;
+  return {.threads = threads};
 }
 
 /// Runs two blocks that wait for each other, so that only two threads can finish them.

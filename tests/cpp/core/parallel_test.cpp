@@ -14,8 +14,7 @@ namespace {
 
 TEST(Parallel, CoversEveryIndexOnceWithAnyNumberOfThreads) {
   for (const int threads : {1, 2, 7}) {
-    Context context;
-    context.threads = threads;
+    Context context{.threads = threads};
     std::vector<int> hits(1003, 0);
     parallel_for(context, hits.size(), 10, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) ++hits[i];
@@ -27,8 +26,7 @@ TEST(Parallel, CoversEveryIndexOnceWithAnyNumberOfThreads) {
 
 TEST(Parallel, SumIsTheSameToTheBitWithAnyNumberOfThreads) {
   const auto sum = [](int threads) {
-    Context context;
-    context.threads = threads;
+    Context context{.threads = threads};
     return parallel_sum(context, 100000, 100, 0.0, [](std::size_t begin, std::size_t end) {
       double part = 0;
       for (std::size_t i = begin; i < end; ++i) part += 1.0 / static_cast<double>(i + 1);
@@ -40,8 +38,7 @@ TEST(Parallel, SumIsTheSameToTheBitWithAnyNumberOfThreads) {
 }
 
 TEST(Parallel, RethrowsTheErrorOfTheLowestFailingBlock) {
-  Context context;
-  context.threads = 3;
+  Context context{.threads = 3};
   // The second and third block fail long before the first one.
   std::atomic<int> others{0};
   const auto work = [&](std::size_t block, std::size_t) {
@@ -58,8 +55,7 @@ TEST(Parallel, RethrowsTheErrorOfTheLowestFailingBlock) {
 }
 
 TEST(Parallel, StopsAtErrorsAndWhenCancelled) {
-  Context context;
-  context.threads = 3;
+  Context context{.threads = 3};
   EXPECT_THROW(parallel_for(context, 100, 1, [](std::size_t, std::size_t) { throw data_error("x"); }), Error);
   std::atomic<bool> cancel{true};
   context.cancel = &cancel;

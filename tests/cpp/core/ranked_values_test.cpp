@@ -11,10 +11,8 @@
 namespace malus {
 namespace {
 
-RankedValues::Source source_of(const std::vector<float>& values) {
-  return [&values](std::size_t begin, std::size_t end, float* to) {
-    std::copy(values.data() + begin, values.data() + end, to);
-  };
+RankedValues ranked_of(const std::vector<float>& values, const Context& context) {
+  return {values.size(), [&](std::size_t i) { return values[i]; }, context};
 }
 
 TEST(RankedValues, AgreeWithSortingWithAnyNumberOfThreads) {
@@ -30,9 +28,8 @@ TEST(RankedValues, AgreeWithSortingWithAnyNumberOfThreads) {
   const std::array ranks{std::size_t{0},        sorted.size() - 1, sorted.size() / 2,
                          sorted.size() / 2 + 1, std::size_t{1234}, sorted.size() * 95 / 100};
   for (const int threads : {1, 3}) {
-    Context context;
-    context.threads = threads;
-    RankedValues ranked(values.size(), source_of(values), context);
+    const Context context{.threads = threads};
+    RankedValues ranked = ranked_of(values, context);
     ASSERT_EQ(ranked.size(), sorted.size());
     const std::vector<float> found = ranked.at(ranks);
     for (std::size_t k = 0; k < ranks.size(); ++k) EXPECT_EQ(found[k], sorted[ranks[k]]) << ranks[k];
@@ -44,11 +41,11 @@ TEST(RankedValues, AreRightForAdjacentFloatsAndForNoValues) {
   for (float value = 1; values.size() < 300; value = std::nextafter(value, 2.0f)) values.push_back(value);
   std::ranges::reverse(values);
   values.push_back(-0.0f);
-  RankedValues ranked(values.size(), source_of(values), {});
+  RankedValues ranked = ranked_of(values, {});
   EXPECT_EQ(ranked.at(std::array{std::size_t{0}, std::size_t{1}, std::size_t{300}}),
             (std::vector<float>{0, 1, values.front()}));
   const std::vector<float> none(5, std::nanf(""));
-  EXPECT_EQ(RankedValues(none.size(), source_of(none), {}).size(), 0u);
+  EXPECT_EQ(ranked_of(none, {}).size(), 0u);
 }
 
 }  // namespace

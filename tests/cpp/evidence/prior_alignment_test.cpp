@@ -374,8 +374,7 @@ TEST(PriorAlignment, SaysThatNothingCanBeChecked) {
 
 TEST(PriorAlignment, ThreadsMakeNoDifference) {
   const EvidenceScene scene;
-  Context two;
-  two.threads = 2;
+  const Context two{.threads = 2};
   const PointCloud cloud = scene.moved(motion(5, 2, 1));
   const PriorAlignment a = check_alignment(cloud, scene.pose, scene.images(), {});
   const PriorAlignment b = check_alignment(cloud, scene.pose, scene.images(), two);

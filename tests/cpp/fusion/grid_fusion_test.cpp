@@ -189,8 +189,7 @@ TEST(GridFusion, IsTheSameWithMoreThreads) {
   const Size size{123, 77};
   const DepthPrior prior = prior_of(size, [](int u, int v) { return std::sin(0.1 * u) + 0.1 * v; });
   const HeightMap height = map_of(size, [](int u, int v) { return std::cos(0.7 * u * v); });
-  Context four;
-  four.threads = 4;
+  const Context four{.threads = 4};
   const FusedSurface a = fuse_grid(height, prior, {}, {}), b = fuse_grid(height, prior, {}, four);
   EXPECT_EQ(a.depth, b.depth);
   EXPECT_EQ(a.sigma, b.sigma);

@@ -180,8 +180,7 @@ TEST(GridOptimization, LackOfMemoryInTheLinearSolverIsAnError) {
 }
 
 TEST(GridOptimization, OneAndTwoThreadsAgree) {
-  Context two;
-  two.threads = 2;
+  const Context two{.threads = 2};
   const Scene scene;
   EXPECT_EQ(scene.optimized({}).depth, scene.optimized({}, two).depth);
 }

@@ -107,8 +107,7 @@ TEST(Refine, DoesNotDependOnTheNumberOfThreads) {
   options.tile_px = 64;
   options.margin_px = 16;
   options.iterations = 2;
-  Context one, three;
-  three.threads = 3;
+  const Context one{}, three{.threads = 3};
   const RefineResult a = refine(station.state, station.prior, {}, options, one);
   const RefineResult b = refine(station.state, station.prior, {}, options, three);
   EXPECT_EQ(a.report.tiles, 4);

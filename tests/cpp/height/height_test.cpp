@@ -312,8 +312,7 @@ TEST(Height, InputErrorsAndCancellation) {
 
 TEST(Height, SameResultWithOneAndThreeThreads) {
   const Scene scene = render(bumps(80), {80, 80}, nullptr, light_right, 0.005);
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const HeightMap a = solve(scene), b = solve(scene, {}, nullptr, three);
   EXPECT_EQ(a.iterations, b.iterations);
   for (std::size_t i = 0; i < a.height.count(); ++i) {
@@ -352,8 +351,7 @@ Scene large_scene() {
 
 TEST(Height, LargeRastersAreSolvedByLevelsAndInTiles) {
   const Scene scene = large_scene();
-  Context two;
-  two.threads = 2;
+  Context two{.threads = 2};
   const HeightMap map = solve(scene, {}, &large_camera, two);
   // The coarse level and the tiles must both reproduce the height of the surface.
   EXPECT_NEAR(height_scale(scene, map), 1, 0.01);
@@ -380,8 +378,7 @@ TEST(Height, LargeRastersAreSolvedByTheLinearMethodToo) {
   const Scene scene = large_scene();
   HeightOptions options;
   options.method = HeightMethod::linear;
-  Context two;
-  two.threads = 2;
+  const Context two{.threads = 2};
   const HeightMap map = solve(scene, options, &large_camera, two);
   EXPECT_EQ(map.status, HeightStatus::converged);
   EXPECT_EQ(map.solver_iterations, 0);

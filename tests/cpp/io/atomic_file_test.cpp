@@ -70,8 +70,7 @@ TEST(AtomicFile, RecordsAreWrittenByAllThreadsAndHashedPieceByPiece) {
   const TemporaryFolder folder;
   const auto path = folder / "records";
   const auto byte_of = [](std::size_t at) { return static_cast<char>(at % 251 + at / 4096 % 7); };
-  Context context;
-  context.threads = 3;
+  const Context context{.threads = 3};
   AtomicFile file(path);
   file.expect(header + count * record);
   file.write(std::string(header, '#'));

@@ -146,8 +146,7 @@ TEST(SymmetricSolver, DisconnectedPartsAndGivenOrdersAgreeWithADenseMatrix) {
   const Eigen::LLT<Eigen::MatrixXd> expected(dense);
   const double log_determinant = 2 * expected.matrixLLT().diagonal().array().log().sum();
   for (const bool by_position : {false, true}) {
-    Context context;
-    context.threads = 3;
+    Context context{.threads = 3};
     SymmetricSolver solver{context};
     solver.analyze(lower, by_position ? nested_dissection(pixels, 2) : std::vector<int>{});
     ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
@@ -164,8 +163,7 @@ TEST(SymmetricSolver, CanBeReusedAfterAnIndefiniteMatrix) {
   const auto lower = system.lower(0);
   auto indefinite = lower;
   indefinite.coeffRef(700, 700) = -1;
-  Context context;
-  context.threads = 2;
+  const Context context{.threads = 2};
   SymmetricSolver solver{context};
   ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
   EXPECT_EQ(solver.factorize(indefinite), SolveStatus::not_positive_definite);

@@ -43,8 +43,7 @@ TEST(MatchPairs, DoesNotDependOnThreads) {
   const std::vector<Descriptors> photos{random_descriptors(90, 4), random_descriptors(70, 5),
                                         random_descriptors(80, 4)};
   const std::vector<std::pair<std::size_t, std::size_t>> pairs{{0, 1}, {0, 2}, {1, 2}};
-  Context several;
-  several.threads = 3;
+  const Context several{.threads = 3};
   const auto matches = match_pairs(photos, pairs, {}, several);
   EXPECT_EQ(matches, match_pairs(photos, pairs, {}, {}));
   EXPECT_EQ(matches[1].size(), 80U);

@@ -124,18 +124,11 @@ Scene make_scene() {
   return scene;
 }
 
-class Refinement : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() { scene_ = new Scene(make_scene()); }
-  static void TearDownTestSuite() {
-    delete scene_;
-    scene_ = nullptr;
-  }
-
-  static Scene* scene_;
-};
-
-Scene* Refinement::scene_ = nullptr;
+/// The scene of these tests, which is made once.
+const Scene& seven_photos() {
+  static const Scene scene = make_scene();
+  return scene;
+}
 
 /// Angle between two rotations, in rad.
 double turn(const Pose& a, const Pose& b) {
@@ -149,48 +142,48 @@ double station_turn(const ColmapModel& model, const ColmapModel& truth) {
   return Eigen::AngleAxisd(found * right.transpose()).angle();
 }
 
-TEST_F(Refinement, CorrectsTurnedCamerasOfAModelFromFeatures) {
-  ColmapModel model = scene_->model;
-  const double before = station_turn(model, scene_->truth);
-  const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {}, {}, {});
+TEST(Refinement, CorrectsTurnedCamerasOfAModelFromFeatures) {
+  ColmapModel model = seven_photos().model;
+  const double before = station_turn(model, seven_photos().truth);
+  const ModelRefinement done = refine_model(model, seven_photos().pictures, "station.png", {}, {}, {});
   EXPECT_EQ(done.status, AdjustmentStatus::converged);
   EXPECT_GT(done.points, 350U);
   EXPECT_GT(done.matches_a_point, 4);
   EXPECT_LT(done.sigma_px, 0.1);
   EXPECT_NEAR(done.adjustment.unit_weight, 1, 0.5);
-  const double after = station_turn(model, scene_->truth);
+  const double after = station_turn(model, seven_photos().truth);
   EXPECT_GT(before, 1.5e-3);
   EXPECT_LT(after, before / 3);
   EXPECT_LT(after, 6e-4);
   for (const auto& [id, image] : model.images)
-    EXPECT_LT(turn(image.pose, scene_->truth.images.at(id).pose), 8e-4) << id;
+    EXPECT_LT(turn(image.pose, seven_photos().truth.images.at(id).pose), 8e-4) << id;
   // Lenses that are not named stay exactly the same.
-  for (const auto& [id, camera] : model.cameras) EXPECT_EQ(camera.params, scene_->truth.cameras.at(id).params);
+  for (const auto& [id, camera] : model.cameras) EXPECT_EQ(camera.params, seven_photos().truth.cameras.at(id).params);
   EXPECT_TRUE(done.lens_sigma.empty());
   for (const auto& [id, point] : model.points) EXPECT_GE(point.error_px, 0);
 }
 
-TEST_F(Refinement, SameWithAnyNumberOfThreads) {
-  ColmapModel one = scene_->model, four = scene_->model;
-  refine_model(one, scene_->pictures, "station.png", {}, {}, {});
-  Context context;
-  context.threads = 2;
-  refine_model(four, scene_->pictures, "station.png", {}, {}, context);
+TEST(Refinement, SameWithAnyNumberOfThreads) {
+  ColmapModel one = seven_photos().model, four = seven_photos().model;
+  refine_model(one, seven_photos().pictures, "station.png", {}, {}, {});
+  const Context context{.threads = 2};
+  refine_model(four, seven_photos().pictures, "station.png", {}, {}, context);
   for (const auto& [id, image] : one.images) {
     EXPECT_LT((image.pose.translation - four.images.at(id).pose.translation).norm(), 1e-4);
     EXPECT_LT(turn(image.pose, four.images.at(id).pose), 1e-6);
   }
 }
 
-TEST_F(Refinement, CalibratesALensAndStatesItsSigma) {
-  ColmapModel model = scene_->model;
+TEST(Refinement, CalibratesALensAndStatesItsSigma) {
+  ColmapModel model = seven_photos().model;
   std::vector<double>& lens = model.cameras.at(1).params;
   lens[0] += 2;
   lens[1] += 2;
   lens[4] += 0.01;
-  const ModelRefinement done = refine_model(model, scene_->pictures, "station.png", {{1, LensFreedom::all}}, {}, {});
+  const ModelRefinement done =
+      refine_model(model, seven_photos().pictures, "station.png", {{1, LensFreedom::all}}, {}, {});
   EXPECT_EQ(done.status, AdjustmentStatus::converged);
-  const std::vector<double>& truth = scene_->truth.cameras.at(1).params;
+  const std::vector<double>& truth = seven_photos().truth.cameras.at(1).params;
   const std::vector<double>& sigma = done.lens_sigma.at(1);
   ASSERT_EQ(sigma.size(), truth.size());
   EXPECT_LT(std::abs(lens[0] - truth[0]), 1);
@@ -199,18 +192,19 @@ TEST_F(Refinement, CalibratesALensAndStatesItsSigma) {
     EXPECT_LT(std::abs(lens[k] - truth[k]), 5 * sigma[k]) << k;
   }
 
-  model = scene_->model;
+  model = seven_photos().model;
   model.cameras.at(1).params[0] += 2;
-  refine_model(model, scene_->pictures, "station.png", {{1, LensFreedom::without_principal_point}}, {}, {});
+  refine_model(model, seven_photos().pictures, "station.png", {{1, LensFreedom::without_principal_point}}, {}, {});
   EXPECT_EQ(model.cameras.at(1).params[2], truth[2]);
   EXPECT_EQ(model.cameras.at(1).params[3], truth[3]);
   EXPECT_NE(model.cameras.at(1).params[0], truth[0] + 2);
 }
 
-TEST_F(Refinement, MatchesWindowsToHundredthsOfAPixel) {
+TEST(Refinement, MatchesWindowsToHundredthsOfAPixel) {
   std::vector<SweepView> views;
-  for (const auto& [id, image] : scene_->truth.images) {
-    views.push_back({scene_->pictures.at(image.name), scene_->truth.cameras.at(image.camera_id), image.pose});
+  for (const auto& [id, image] : seven_photos().truth.images) {
+    views.push_back(
+        {seven_photos().pictures.at(image.name), seven_photos().truth.cameras.at(image.camera_id), image.pose});
   }
   std::vector<TiePoint> points;
   for (int k = 0; k < 100; ++k) {
@@ -236,18 +230,18 @@ TEST_F(Refinement, MatchesWindowsToHundredthsOfAPixel) {
   EXPECT_LT(errors[errors.size() * 95 / 100], 0.25);
 }
 
-TEST_F(Refinement, LeavesTheModelWhenNothingMatches) {
-  ColmapModel model = scene_->model;
-  auto pictures = scene_->pictures;
+TEST(Refinement, LeavesTheModelWhenNothingMatches) {
+  ColmapModel model = seven_photos().model;
+  auto pictures = seven_photos().pictures;
   pictures.at("station.png").fill(0.5F);
   const ModelRefinement done = refine_model(model, pictures, "station.png", {}, {}, {});
   EXPECT_EQ(done.status, AdjustmentStatus::too_few_matches);
-  EXPECT_EQ(model.images.at(7).pose.translation, scene_->model.images.at(7).pose.translation);
+  EXPECT_EQ(model.images.at(7).pose.translation, seven_photos().model.images.at(7).pose.translation);
 }
 
-TEST_F(Refinement, NamesAPictureThatIsMissingOrOfAnotherSize) {
-  ColmapModel model = scene_->model;
-  auto pictures = scene_->pictures;
+TEST(Refinement, NamesAPictureThatIsMissingOrOfAnotherSize) {
+  ColmapModel model = seven_photos().model;
+  auto pictures = seven_photos().pictures;
   pictures.erase("photo_2");
   expect_error(
       ErrorCode::input, [&] { refine_model(model, pictures, "station.png", {}, {}, {}); }, "photo_2");

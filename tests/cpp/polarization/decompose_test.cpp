@@ -288,8 +288,7 @@ TEST(Decompose, SameResultWithOneAndThreeThreads) {
   const auto angles = even_angles(5);
   const auto images =
       images_of([](int u, int v) { return stokes_vector(0.3, 0.1, 0.01 * u * v); }, size, angles, {}, 9);
-  Context one_thread, three_threads;
-  three_threads.threads = 3;
+  const Context one_thread{}, three_threads{.threads = 3};
   const auto one = decompose(images, angles, {}, full(size), {}, {}, one_thread);
   const auto three = decompose(images, angles, {}, full(size), {}, {}, three_threads);
   EXPECT_EQ(one.rho, three.rho);

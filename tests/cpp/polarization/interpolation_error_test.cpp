@@ -49,8 +49,7 @@ TEST(InterpolationError, IsLocalAndDoesNotDependOnThreads) {
     }
   }
   const Image<float> shared(state.size(), 1, 4.0f);
-  Context threads;
-  threads.threads = 3;
+  const Context threads{.threads = 3};
   add_interpolation_error(state, shared, {});
   add_interpolation_error(other, shared, threads);
   EXPECT_GT(state.variance_factor(2, 15), 200);

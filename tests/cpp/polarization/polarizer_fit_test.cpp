@@ -20,8 +20,7 @@ std::vector<double> radians(std::vector<double> degrees) {
 
 PolarizerFit fit(const PolarizerScene& scene, const std::vector<double>& true_deg, const std::vector<double>& gains,
                  const std::vector<double>& given_deg, int threads = 2) {
-  Context context;
-  context.threads = threads;
+  const Context context{.threads = threads};
   return fit_polarizer(scene.images(radians(true_deg), gains, low_noise), radians(given_deg), low_noise,
                        Mask(scene.size, 1, 255), {}, {}, context);
 }

@@ -109,8 +109,7 @@ TEST(Reflection, WithoutPriorOnlyHighDegreesAreTakenForSpecular) {
 
 TEST(Reflection, SameResultWithOneAndThreeThreads) {
   const Scene scene = cap([](int u, int v) { return (u + v) % 3 == 0 ? Reflection::diffuse : Reflection::specular; });
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const auto a = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, {});
   const auto b = map_reflection(scene.state, &cap_camera, &scene.normals, nullptr, {}, three);
   EXPECT_EQ(a.label, b.label);

@@ -43,8 +43,7 @@ std::vector<std::uint32_t> nearest(const std::vector<ViewPoint>& points, const s
 
 void expect_nearest(const std::vector<ViewPoint>& points, const std::vector<std::uint8_t>& left_out, std::size_t k,
                     int threads) {
-  Context context;
-  context.threads = threads;
+  const Context context{.threads = threads};
   const NeighborSearch search(points, left_out, k, context);
   Neighbors found;
   for (std::size_t i = 0; i < points.size(); ++i) {

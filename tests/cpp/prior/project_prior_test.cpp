@@ -365,8 +365,7 @@ TEST(PriorOfCloud, TilesAgreeWithOneSystem) {
 
 TEST(PriorOfCloud, IsTheSameWithMoreThreads) {
   const PointCloud cloud = sample(wavy_depth, 3000, 1);
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const DepthPrior a = project(cloud), b = project(cloud, {}, full_mask(), three);
   for (std::size_t i = 0; i < a.depth.count(); ++i) {
     ASSERT_NEAR(a.depth[i], b.depth[i], 1e-5 * gsd_mm + 1e-4);

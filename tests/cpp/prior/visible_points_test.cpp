@@ -14,8 +14,7 @@ namespace {
 using namespace cloud_scenes;
 
 VisiblePoints visible(const PointCloud& cloud, int threads) {
-  Context context;
-  context.threads = threads;
+  const Context context{.threads = threads};
   const Pinhole camera = cloud_scenes::test_camera();
   return visible_points(cloud, camera, {}, Mask(camera.size, 1, 255), {}, context);
 }

@@ -67,8 +67,7 @@ TEST(Regions, ExtendAcrossTheStripsOfDifferentThreads) {
   values(40, 198) = none;
   // The tooth at column 40 ends above row 198 and is a region of its own. Row 199 joins the others to two combs of 20
   // and 39 teeth.
-  Context context;
-  context.threads = 3;
+  const Context context{.threads = 3};
   remove_small_regions(values, 0.5, 198, context);
   EXPECT_EQ(known(values), 198 + 20 * 199 + 40 + 39 * 199 + 79);
   remove_small_regions(values, 0.5, 199, context);

@@ -44,18 +44,11 @@ Errors errors_of(const SweepResult& result, const Image<double>& truth, int bord
   return {n / pixels, errors[errors.size() / 2], std::sqrt(squares / n), covered / n};
 }
 
-class SweepOfBumps : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() { scene_ = new Scene(make_scene(bumps, 6)); }
-  static void TearDownTestSuite() {
-    delete scene_;
-    scene_ = nullptr;
-  }
-
-  static Scene* scene_;
-};
-
-Scene* SweepOfBumps::scene_ = nullptr;
+/// The scene of most tests, which is made once.
+const Scene& bumpy() {
+  static const Scene scene = make_scene(bumps, 6);
+  return scene;
+}
 
 TEST(SurfaceSweep, FindsAPlaneThroughDistortedLenses) {
   const Scene scene = make_scene(plane, 6);
@@ -68,9 +61,9 @@ TEST(SurfaceSweep, FindsAPlaneThroughDistortedLenses) {
   EXPECT_TRUE(result.halves_compared);
 }
 
-TEST_F(SweepOfBumps, FindsBumpsAndEstimatesItsError) {
-  const SweepResult result = sweep_surface(scene_->input, scene_->views, test_options(), {});
-  const Errors errors = errors_of(result, scene_->truth);
+TEST(SweepOfBumps, FindsBumpsAndEstimatesItsError) {
+  const SweepResult result = sweep_surface(bumpy().input, bumpy().views, test_options(), {});
+  const Errors errors = errors_of(result, bumpy().truth);
   EXPECT_GT(errors.completeness, 0.99);
   EXPECT_LT(errors.median_gsd, 0.15);
   EXPECT_LT(errors.rms_gsd, 0.35);
@@ -79,48 +72,48 @@ TEST_F(SweepOfBumps, FindsBumpsAndEstimatesItsError) {
   EXPECT_GT(result.median_score, 0.9);
 }
 
-TEST_F(SweepOfBumps, StartsFromFewRoughPoints) {
-  SweepInput input = scene_->input;
+TEST(SweepOfBumps, StartsFromFewRoughPoints) {
+  SweepInput input = bumpy().input;
   std::vector<Eigen::Vector3d> few;
   for (std::size_t k = 0; k < input.points.size(); k += 4) few.push_back(input.points[k]);
   for (std::size_t k = 0; k < few.size(); ++k) few[k].z() += (k % 2 == 0 ? 1 : -1) * 3 * gsd_mm;
   few.push_back({0, 0, 0.7 * distance_mm});
   few.push_back({10, 10, 2 * distance_mm});
   input.points = few;
-  const Errors errors = errors_of(sweep_surface(input, scene_->views, test_options(), {}), scene_->truth);
+  const Errors errors = errors_of(sweep_surface(input, bumpy().views, test_options(), {}), bumpy().truth);
   EXPECT_GT(errors.completeness, 0.98);
   EXPECT_LT(errors.median_gsd, 0.15);
 }
 
-TEST_F(SweepOfBumps, MayAskForMorePointsThanItCompares) {
-  SweepInput input = scene_->input;
+TEST(SweepOfBumps, MayAskForMorePointsThanItCompares) {
+  SweepInput input = bumpy().input;
   const std::size_t given = input.points.size();
-  for (std::size_t k = 0; k < 2000; ++k) input.points.push_back(scene_->input.points[k % given]);
+  for (std::size_t k = 0; k < 2000; ++k) input.points.push_back(bumpy().input.points[k % given]);
   SweepOptions options = test_options();
   options.min_points = 2000;
-  const SweepResult result = sweep_surface(input, scene_->views, options, {});
+  const SweepResult result = sweep_surface(input, bumpy().views, options, {});
   EXPECT_EQ(result.points_used, 1500);
   EXPECT_GT(result.completeness, 0.9);
 }
 
-TEST_F(SweepOfBumps, AKnownSurfaceReducesTheErrorsInNoise) {
-  SweepInput input = scene_->input;
-  std::vector<SweepView> views = scene_->views;
+TEST(SweepOfBumps, AKnownSurfaceReducesTheErrorsInNoise) {
+  SweepInput input = bumpy().input;
+  std::vector<SweepView> views = bumpy().views;
   std::mt19937 generator(5);
   std::normal_distribution<float> normal(0, 0.06F);
   for (SweepView& view : views) {
     for (float& value : view.intensity) value += normal(generator);
   }
-  const Errors without = errors_of(sweep_surface(input, views, test_options(), {}), scene_->truth);
+  const Errors without = errors_of(sweep_surface(input, views, test_options(), {}), bumpy().truth);
   input.surface = input.surface_sigma = Image<float>(station_size, 1, static_cast<float>(gsd_mm));
   for (int v = 0; v < station_size.height; ++v) {
     for (int u = 0; u < station_size.width; ++u) {
-      input.surface(u, v) = static_cast<float>(scene_->truth(u, v) + 2 * gsd_mm * std::sin(u / 30.0));
+      input.surface(u, v) = static_cast<float>(bumpy().truth(u, v) + 2 * gsd_mm * std::sin(u / 30.0));
     }
   }
   input.points.clear();
   const SweepResult result = sweep_surface(input, views, test_options(), {});
-  const Errors errors = errors_of(result, scene_->truth);
+  const Errors errors = errors_of(result, bumpy().truth);
   EXPECT_GT(errors.completeness, 0.99);
   EXPECT_LT(errors.median_gsd, 0.8 * without.median_gsd);
   EXPECT_LT(errors.rms_gsd, 0.8 * without.rms_gsd);
@@ -128,32 +121,32 @@ TEST_F(SweepOfBumps, AKnownSurfaceReducesTheErrorsInNoise) {
   EXPECT_EQ(result.passes.front().reduction, 1);
 }
 
-TEST_F(SweepOfBumps, SearchRangeFollowsTheSigmaOfAKnownSurface) {
-  SweepInput input = scene_->input;
+TEST(SweepOfBumps, SearchRangeFollowsTheSigmaOfAKnownSurface) {
+  SweepInput input = bumpy().input;
   input.surface_sigma = Image<float>(station_size, 1, static_cast<float>(12 * gsd_mm));
   input.surface = Image<float>(station_size);
   for (std::size_t i = 0; i < input.surface.count(); ++i) {
-    input.surface[i] = static_cast<float>(scene_->truth[i] + 12 * gsd_mm);
+    input.surface[i] = static_cast<float>(bumpy().truth[i] + 12 * gsd_mm);
   }
   input.surface(40, 40) = std::numeric_limits<float>::quiet_NaN();
-  const SweepResult result = sweep_surface(input, scene_->views, test_options(), {});
+  const SweepResult result = sweep_surface(input, bumpy().views, test_options(), {});
   EXPECT_EQ(result.passes.front().reduction, 2);
-  EXPECT_LT(errors_of(result, scene_->truth).median_gsd, 0.3);
+  EXPECT_LT(errors_of(result, bumpy().truth).median_gsd, 0.3);
 }
 
-TEST_F(SweepOfBumps, RejectsAKnownSurfaceWithoutDepth) {
-  SweepInput input = scene_->input;
+TEST(SweepOfBumps, RejectsAKnownSurfaceWithoutDepth) {
+  SweepInput input = bumpy().input;
   input.surface = input.surface_sigma = Image<float>(station_size);
   expect_error(
-      ErrorCode::input, [&] { sweep_surface(input, scene_->views, test_options(), {}); },
+      ErrorCode::input, [&] { sweep_surface(input, bumpy().views, test_options(), {}); },
       "known surface: expected a depth");
   input.surface_sigma = Image<float>({3, 3}, 1, 1.0F);
   expect_error(
-      ErrorCode::input, [&] { sweep_surface(input, scene_->views, test_options(), {}); },
+      ErrorCode::input, [&] { sweep_surface(input, bumpy().views, test_options(), {}); },
       "standard deviation of the known surface is 3 x 3 pixels");
 }
 
-TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
+TEST(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
   const auto shine = [](Image<float>& image, double u0, double v0) {
     for (int v = 0; v < image.height(); ++v) {
       for (int u = 0; u < image.width(); ++u) {
@@ -161,9 +154,9 @@ TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
       }
     }
   };
-  const SweepResult dull = sweep_surface(scene_->input, scene_->views, test_options(), {});
+  const SweepResult dull = sweep_surface(bumpy().input, bumpy().views, test_options(), {});
   EXPECT_EQ(dull.highlights, 0);
-  Scene shining = *scene_;
+  Scene shining = bumpy();
   shine(shining.input.intensity, 100, 40);
   shine(shining.views[2].intensity, 60, 90);  // the other photos outvote a highlight in one photo
   const SweepResult result = sweep_surface(shining.input, shining.views, test_options(), {});
@@ -173,7 +166,7 @@ TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
   for (int v = 34; v <= 46; ++v) {
     for (int u = 94; u <= 106; ++u) EXPECT_TRUE(std::isnan(result.depth(u, v))) << u << ' ' << v;
   }
-  EXPECT_LT(errors_of(result, scene_->truth).rms_gsd, 0.3);
+  EXPECT_LT(errors_of(result, bumpy().truth).rms_gsd, 0.3);
 
   // Photos of the object's back have no say.
   std::mt19937 random(5);
@@ -191,8 +184,8 @@ TEST_F(SweepOfBumps, LeavesOutHighlightsOfTheStation) {
   EXPECT_EQ(sweep_surface(shining.input, shining.views, test_options(), {}).highlights, result.highlights);
 }
 
-TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
-  const SweepResult many = sweep_surface(scene_->input, scene_->views, test_options(), {});
+TEST(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
+  const SweepResult many = sweep_surface(bumpy().input, bumpy().views, test_options(), {});
   for (const int photos : {1, 2}) {
     std::string warnings;
     Context context;
@@ -200,21 +193,20 @@ TEST_F(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
       if (level == LogLevel::warning) warnings += text;
     };
     const SweepResult few =
-        sweep_surface(scene_->input, {scene_->views.begin(), scene_->views.begin() + photos}, test_options(), context);
+        sweep_surface(bumpy().input, {bumpy().views.begin(), bumpy().views.begin() + photos}, test_options(), context);
     expect_contains(warnings, "no disjoint halves");
     EXPECT_FALSE(few.halves_compared);
     EXPECT_GT(few.median_sigma_gsd, 2 * many.median_sigma_gsd);
-    const Errors errors = errors_of(few, scene_->truth);
+    const Errors errors = errors_of(few, bumpy().truth);
     EXPECT_GT(errors.completeness, 0.9);
     EXPECT_LT(errors.median_gsd, 0.4);
   }
 }
 
-TEST_F(SweepOfBumps, IsTheSameWithMoreThreads) {
-  Context three;
-  three.threads = 3;
-  const SweepResult a = sweep_surface(scene_->input, scene_->views, test_options(), {});
-  const SweepResult b = sweep_surface(scene_->input, scene_->views, test_options(), three);
+TEST(SweepOfBumps, IsTheSameWithMoreThreads) {
+  const Context three{.threads = 3};
+  const SweepResult a = sweep_surface(bumpy().input, bumpy().views, test_options(), {});
+  const SweepResult b = sweep_surface(bumpy().input, bumpy().views, test_options(), three);
   for (std::size_t i = 0; i < a.depth.count(); ++i) {
     ASSERT_EQ(std::isfinite(a.depth[i]), std::isfinite(b.depth[i]));
     if (!std::isfinite(a.depth[i])) continue;
@@ -223,19 +215,19 @@ TEST_F(SweepOfBumps, IsTheSameWithMoreThreads) {
   }
 }
 
-TEST_F(SweepOfBumps, IsNaNOutsideTheMaskAndAccurateUpToItsBorder) {
-  SweepInput input = scene_->input;
+TEST(SweepOfBumps, IsNaNOutsideTheMaskAndAccurateUpToItsBorder) {
+  SweepInput input = bumpy().input;
   for (int v = 0; v < station_size.height; ++v) {
     for (int u = 0; u < station_size.width; ++u) input.mask(u, v) = std::hypot(u - 80, v - 60) < 40;
   }
-  const SweepResult result = sweep_surface(input, scene_->views, test_options(), {});
+  const SweepResult result = sweep_surface(input, bumpy().views, test_options(), {});
   double squares = 0, pixels = 0;
   for (int v = 0; v < station_size.height; ++v) {
     for (int u = 0; u < station_size.width; ++u) {
       if (input.mask(u, v) == 0) {
         ASSERT_TRUE(std::isnan(result.depth(u, v)));
       } else if (std::isfinite(result.depth(u, v))) {
-        squares += std::pow((result.depth(u, v) - scene_->truth(u, v)) / gsd_mm, 2);
+        squares += std::pow((result.depth(u, v) - bumpy().truth(u, v)) / gsd_mm, 2);
         ++pixels;
       }
     }
@@ -244,19 +236,19 @@ TEST_F(SweepOfBumps, IsNaNOutsideTheMaskAndAccurateUpToItsBorder) {
   EXPECT_LT(std::sqrt(squares / pixels), 0.6);
 }
 
-TEST_F(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
+TEST(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
   LensCamera fine = distorted_lens();
   fine.size = {380, 280};
   for (const std::size_t k : {0U, 1U, 2U, 3U}) fine.params[k] *= 2;
   std::vector<SweepView> views;
-  for (const std::size_t k : {0U, 2U, 4U}) views.push_back(photo(bumps, scene_->views[k].pose.centre(), fine));
-  const Errors errors = errors_of(sweep_surface(scene_->input, views, test_options(), {}), scene_->truth);
+  for (const std::size_t k : {0U, 2U, 4U}) views.push_back(photo(bumps, bumpy().views[k].pose.centre(), fine));
+  const Errors errors = errors_of(sweep_surface(bumpy().input, views, test_options(), {}), bumpy().truth);
   EXPECT_GT(errors.completeness, 0.95);
   EXPECT_LT(errors.median_gsd, 0.2);
 }
 
-TEST_F(SweepOfBumps, PhotosThatDoNotMatchGiveHardlyAnyDepth) {
-  std::vector<SweepView> views = scene_->views;
+TEST(SweepOfBumps, PhotosThatDoNotMatchGiveHardlyAnyDepth) {
+  std::vector<SweepView> views = bumpy().views;
   unsigned state = 1;
   for (SweepView& view : views) {
     for (float& value : view.intensity) {
@@ -264,53 +256,53 @@ TEST_F(SweepOfBumps, PhotosThatDoNotMatchGiveHardlyAnyDepth) {
       value = static_cast<float>(state >> 8) / 16777216.0F;
     }
   }
-  const SweepResult result = sweep_surface(scene_->input, views, test_options(), {});
+  const SweepResult result = sweep_surface(bumpy().input, views, test_options(), {});
   EXPECT_LT(result.completeness, 0.1);
 }
 
-TEST_F(SweepOfBumps, RefusesMissingAndMismatchedInput) {
+TEST(SweepOfBumps, RefusesMissingAndMismatchedInput) {
   const auto sweep = [](const SweepInput& input, const std::vector<SweepView>& views) {
     return [&] { sweep_surface(input, views, test_options(), {}); };
   };
   const std::vector<SweepView> nothing;
-  expect_error(ErrorCode::data, sweep(scene_->input, nothing), "no photos");
+  expect_error(ErrorCode::data, sweep(bumpy().input, nothing), "no photos");
 
-  std::vector<SweepView> elsewhere = scene_->views;
+  std::vector<SweepView> elsewhere = bumpy().views;
   const Eigen::DiagonalMatrix<double, 3> about_face(-1, 1, -1);
   for (SweepView& view : elsewhere) view.pose = {about_face * view.pose.rotation, about_face * view.pose.translation};
-  expect_error(ErrorCode::data, sweep(scene_->input, elsewhere), "none of 6 photos sees the object");
+  expect_error(ErrorCode::data, sweep(bumpy().input, elsewhere), "none of 6 photos sees the object");
 
-  SweepInput input = scene_->input;
+  SweepInput input = bumpy().input;
   input.points.resize(4);
-  expect_error(ErrorCode::data, sweep(input, scene_->views), "4 of 4 triangulated points");
+  expect_error(ErrorCode::data, sweep(input, bumpy().views), "4 of 4 triangulated points");
 
-  input = scene_->input;
+  input = bumpy().input;
   input.points.front().x() = std::numeric_limits<double>::quiet_NaN();
-  expect_error(ErrorCode::input, sweep(input, scene_->views), "points: coordinates must be finite");
+  expect_error(ErrorCode::input, sweep(input, bumpy().views), "points: coordinates must be finite");
 
-  input = scene_->input;
+  input = bumpy().input;
   input.mask = Mask({10, 10}, 1, 255);
-  expect_error(ErrorCode::input, sweep(input, scene_->views), "mask is 10 x 10 pixels, expected 160 x 120");
+  expect_error(ErrorCode::input, sweep(input, bumpy().views), "mask is 10 x 10 pixels, expected 160 x 120");
   input.mask = Mask(station_size);
-  expect_error(ErrorCode::input, sweep(input, scene_->views), "mask: no pixel is set");
+  expect_error(ErrorCode::input, sweep(input, bumpy().views), "mask: no pixel is set");
 
-  std::vector<SweepView> views = scene_->views;
+  std::vector<SweepView> views = bumpy().views;
   views[2].intensity(3, 3) = std::numeric_limits<float>::infinity();
-  expect_error(ErrorCode::input, sweep(scene_->input, views), "photo 2: intensities must be finite");
+  expect_error(ErrorCode::input, sweep(bumpy().input, views), "photo 2: intensities must be finite");
   views[2].intensity = Image<float>({5, 5});
-  expect_error(ErrorCode::input, sweep(scene_->input, views), "photo 2 is 5 x 5 pixels, expected 190 x 140");
+  expect_error(ErrorCode::input, sweep(bumpy().input, views), "photo 2 is 5 x 5 pixels, expected 190 x 140");
 
   SweepOptions options = test_options();
   options.window_radius = 9;
   expect_error(
-      ErrorCode::input, [&] { sweep_surface(scene_->input, scene_->views, options, {}); }, "sweep.window_radius = 9");
+      ErrorCode::input, [&] { sweep_surface(bumpy().input, bumpy().views, options, {}); }, "sweep.window_radius = 9");
 }
 
-TEST_F(SweepOfBumps, StopsWhenCancelled) {
+TEST(SweepOfBumps, StopsWhenCancelled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;
-  expect_error(ErrorCode::interrupted, [&] { sweep_surface(scene_->input, scene_->views, test_options(), context); });
+  expect_error(ErrorCode::interrupted, [&] { sweep_surface(bumpy().input, bumpy().views, test_options(), context); });
 }
 
 }  // namespace

@@ -66,8 +66,7 @@ struct HullErrors {
 
 HullErrors errors_with(const std::vector<Silhouette>& photos) {
   const Silhouette view = of_ball({0.4, 1, 0.3});
-  Context context;
-  context.threads = 2;
+  const Context context{.threads = 2};
   const VisualHull hull = visual_hull(station(), view.pose, view.mask, photos, context);
   std::vector<double> off;
   double within = 0, object = 0;

@@ -78,8 +78,7 @@ TEST(Dem, NoGapsBetweenTriangles) {
 TEST(Dem, SameWithAnyNumberOfThreads) {
   const FusedSurface surface = mesa(3);
   const TriangleMesh mesh = mesh_from_depth(surface, {}, {}, {});
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const Dem a = dem_from_mesh(mesh, surface, {}, {}), b = dem_from_mesh(mesh, surface, {}, three);
   ASSERT_EQ(a.elevation.size(), b.elevation.size());
   for (std::size_t i = 0; i < a.elevation.count(); ++i) {

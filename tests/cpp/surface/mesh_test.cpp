@@ -132,8 +132,7 @@ TEST(Mesh, ColorsAreSrgbScaledToThePercentile) {
 
 TEST(Mesh, IsTheSameWithAnyNumberOfThreads) {
   const FusedSurface surface = sphere_surface({203, 181});
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const Image<float> color(surface.depth.size(), 3, 0.2f);
   const TriangleMesh a = mesh_from_depth(surface, color, {}, {}), b = mesh_from_depth(surface, color, {}, three);
   EXPECT_EQ(a.triangles, b.triangles);

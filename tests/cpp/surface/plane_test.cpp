@@ -52,8 +52,7 @@ TEST(Plane, RobustFitIgnoresOutliersThatPullThePlainOne) {
 
 TEST(Plane, SameWithAnyNumberOfThreads) {
   const auto points = noisy_plane(200000, 0.1, 0.1);
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   const PlaneFit a = fit_plane(points, {}, PlaneWeights::robust, {}),
                  b = fit_plane(points, {}, PlaneWeights::robust, three);
   EXPECT_EQ(a.plane.normal, b.plane.normal);

@@ -83,8 +83,7 @@ TEST(Strips, GiveTheFilesOfTheWholeMeshWithAnyNumberOfThreads) {
   const TemporaryFolder folder;
   const FusedSurface surface = ball_and_wall();
   const Image<float> color = gradient(surface.depth.size());
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   for (const int subsample : {1, 3}) {
     SurfaceOptions options;
     options.subsample = subsample;
@@ -248,8 +247,7 @@ TEST(MeshFiles, OfManyPartsAreTheSameWithAnyNumberOfThreads) {
     mesh.triangles.push_back({i, (i + 1) % count, (i + 7) % count});
   }
   const Image<std::uint8_t> texture({80, 60}, 3, 128);
-  Context three;
-  three.threads = 3;
+  const Context three{.threads = 3};
   for (const auto& [name, context] : {std::pair("one", Context{}), std::pair("three", three)}) {
     write_ply(folder / (std::string(name) + ".ply"), mesh, context);
     write_glb(folder / (std::string(name) + ".glb"), mesh, {texture, surface.camera, surface.pose}, length_unit("mm"),

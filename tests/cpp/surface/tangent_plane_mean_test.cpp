@@ -58,8 +58,7 @@ TEST(TangentPlaneMean, IsTheSameWithTwoCubesOrdersAndThreads) {
     turned.normals.push_back(points.normals[k]);
     turned.reach.push_back(points.reach[k]);
   }
-  Context two;
-  two.threads = 2;
+  const Context two{.threads = 2};
   const int side = 17;
   const std::vector<float> first = tangent_plane_mean(points, {{0, 0, 0}, side}, 0.3, {});
   const std::vector<float> other = tangent_plane_mean(turned, {{16, 0, 0}, side}, 0.3, two);
