@@ -92,9 +92,11 @@ TriedOrders exchanges(const Eigen::MatrixXd& projection, const Eigen::MatrixXd& 
 
 std::string in_degrees(const std::vector<double>& angles_rad) {
   std::ostringstream text;
+  text << '[';
   for (std::size_t k = 0; k < angles_rad.size(); ++k)
     text << (k > 0 ? ", " : "") << std::round(10 * angles_rad[k] * 180 / std::numbers::pi) / 10;
-  return "[" + text.str() + "]";
+  text << ']';
+  return text.str();
 }
 
 }  // namespace

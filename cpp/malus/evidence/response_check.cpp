@@ -27,7 +27,7 @@ bool can_be_bent(const std::vector<double>& angles_rad) {
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
     harmonics.row(static_cast<Eigen::Index>(k)) << std::cos(4 * angles_rad[k]), std::sin(4 * angles_rad[k]);
   }
-  return (residual_projection(angles_rad) * harmonics).norm() > least_outside * harmonics.norm();
+  return (residual_projection(polarizer_rows(angles_rad)) * harmonics).norm() > least_outside * harmonics.norm();
 }
 
 struct Sums {
