@@ -104,11 +104,11 @@ def spread_out(values: NDArray[np.float64], step: int, known: NDArray[np.bool_])
     """
     core = np.full(known[::step, ::step].shape, np.nan, np.float32)
     core[known[::step, ::step]] = values
-    rows, columns = (
-        np.minimum((np.arange(size) + (step - 1) // 2) // step, count - 1)
-        for size, count in zip(known.shape, core.shape, strict=True)
-    )
-    return np.where(known, core[np.ix_(rows, columns)], np.float32(np.nan))
+    at = [
+        np.minimum((np.arange(pixels) + (step - 1) // 2) // step, points - 1)
+        for pixels, points in zip(known.shape, core.shape, strict=True)
+    ]
+    return np.where(known, core[np.ix_(*at)], np.float32(np.nan))
 
 
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:

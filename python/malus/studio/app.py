@@ -75,7 +75,7 @@ class Studio:
             "photos": self._photos,
             "options": self._options,
             "thumbnail": lambda q: Response(pictures.thumbnail(self.root.file(q["path"])), media_type="image/jpeg"),
-            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), *(int(q[key]) for key in ("halvings", "column", "row")), lens=_lens(q)), media_type="image/jpeg"),
+            "tile": lambda q: Response(pictures.tile(self.root.file(q["path"]), int(q["halvings"]), int(q["column"]), int(q["row"]), _lens(q)), media_type="image/jpeg"),
             "mask": lambda q: Response(masks.read(self.root.file(q["path"]), q.get("kind", "mask")), media_type="image/png"),
             "relief": lambda q: Response(results.relief(self.root.directory(q["path"])), media_type="image/png"),
             "overlay": self._overlay,
