@@ -332,6 +332,7 @@ SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   cost_before += other.cost_before;
   cost_after += other.cost_after;
   rejected_steps += other.rejected_steps;
+  failed_tiles += other.failed_tiles;
   tiles += other.tiles;
   solver_seconds += other.solver_seconds;
   linear_solver_seconds += other.linear_solver_seconds;
