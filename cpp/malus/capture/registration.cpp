@@ -424,8 +424,8 @@ void set_status(ImageRegistration& result, double similarity, double texture, do
   const double linear = (result.image_from_base.leftCols<2>() - Eigen::Matrix2d::Identity()).norm();
   if (!(texture >= least_texture) || !(result.rms_px <= options.max_uncertainty_px)) {
     result.status = RegistrationStatus::no_texture;
-    message << "too little texture: " << 100 * std::max(texture, 0.0)
-            << " % of the contrast is not noise, displacement known to " << result.rms_px << " px";
+    message << "too little texture: " << with_digits(100 * std::max(texture, 0.0), 3)
+            << " % of the contrast is not noise, displacement known to " << with_digits(result.rms_px, 3) << " px";
   } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
     result.status = RegistrationStatus::implausible;
     message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "

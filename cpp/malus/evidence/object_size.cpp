@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/core/median_internal.h"
@@ -127,18 +128,14 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
                                : "are the units of cloud and camera right?";
   } else if (least_uncut_view_deg(camera) < narrowest_deg || view_deg > widest_deg) {
     finding.severity = Severity::warning;
-    std::ostringstream text;
-    text.precision(3);
-    text << ": that is seen at an angle of view of " << view_deg << "°, which no usual lens has";
-    finding.message += text.str();
+    finding.message +=
+        ": that is seen at an angle of view of " + with_digits(view_deg, 3) + "°, which no usual lens has";
     finding.suggestion = "is the focal length of [camera] in pixels of these images?";
   } else if (const double turn_deg = turn_by_rounding_deg(size.distance, size.gsd); turn_deg > largest_rounding_deg) {
     finding.severity = Severity::caution;
-    std::ostringstream text;
-    text.precision(2);
-    text << ": depths of that many pixels (" << std::lround(camera.focal())
-         << ", the focal length) are rounded so much in single precision that normals turn by " << turn_deg << "°";
-    finding.message += text.str();
+    finding.message += ": with a focal length of " + std::to_string(std::lround(camera.focal())) +
+                       " px, depths are rounded so much in single precision that normals turn by " +
+                       with_digits(turn_deg, 2) + "°";
     finding.suggestion =
         "can the images be reduced, or [camera] of a telecentric lens be given nearer, with a focal length "
         "shorter by the same factor?";

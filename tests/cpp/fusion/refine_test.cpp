@@ -130,6 +130,18 @@ TEST(Refine, CountsTheTilesThatHoldTheObject) {
   EXPECT_EQ(report.iterations.back().tiles, 1);
 }
 
+TEST(Refine, StatisticsOfTilesAreSummed) {
+  const SolveStatistics tile{.cost_before = 5, .cost_after = 3, .rejected_steps = 2, .failed_tiles = 1, .tiles = 1};
+  SolveStatistics sum;
+  sum += tile;
+  sum += tile;
+  EXPECT_EQ(sum.cost_before, 10);
+  EXPECT_EQ(sum.cost_after, 6);
+  EXPECT_EQ(sum.rejected_steps, 4);
+  EXPECT_EQ(sum.failed_tiles, 2);
+  EXPECT_EQ(sum.tiles, 2);
+}
+
 TEST(Refine, TilesLeaveNoSeam) {
   SyntheticOptions scene;
   scene.size = {160, 56};
