@@ -149,6 +149,20 @@ TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
   EXPECT_EQ(warnings("red.png").find("saturated"), std::string::npos) << "red is not used";
 }
 
+TEST(CheckStation, DoesNotDoubtTheWhiteLevelOfWholeNumbersInMemory) {
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  Image<float>& numbers = station.images.front();
+  numbers.fill(3000);
+  std::fill_n(numbers.row(0), 120, 4095.0F);
+  station.whole_numbers = true;
+  station.file.polarized.white_level = 4095;
+  std::string all;
+  for (const std::string& warning : check_station(station, {}, {}).warnings) all += warning + "\n";
+  expect_contains(all, "10 % of the object's pixels are saturated");
+  EXPECT_EQ(all.find("white_level"), std::string::npos) << all;
+}
+
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
   const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
