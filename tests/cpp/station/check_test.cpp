@@ -5,6 +5,7 @@
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/reconstruct.h"
 #include "thrown_error.h"
 
@@ -180,6 +181,8 @@ TEST(CheckStation, ADistanceMetUpToRoundingIsOffByZero) {
   std::string does;
   for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
   expect_contains(does, "they are then off by 0 mm");
+  station.file.scale_errors = {0.000012};
+  expect_contains(describe_scale(station.file), "off by 0.000012");  // not 1.2e-05
 }
 
 }  // namespace
