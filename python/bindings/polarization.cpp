@@ -37,7 +37,8 @@ void bind_decompose(py::module_& module, const char* name) {
 }
 
 double accepted(double eta) {
-  return accepted_refractive_index(eta, "refractive_index");
+  static const std::string name = "refractive_index";  // once, not for every element of an array
+  return accepted_refractive_index(eta, name);
 }
 
 /// Getter of a raster of a state. The array shares the state's memory.

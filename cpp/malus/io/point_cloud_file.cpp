@@ -431,8 +431,8 @@ Columns columns_of_values(const std::vector<double>& values) {
 }
 
 /// Whether commas in the line are decimal signs, as programs write them in some countries: the other separators alone
-/// divide it into three words or more, and one of these is two numbers with a comma between them.
-bool has_decimal_commas(std::string_view line) {
+/// divide it into three words or more, and one of these is two numbers with a comma between them. `words` is reused.
+bool has_decimal_commas(std::string_view line, std::vector<std::string_view>& words) {
   if (line.find(',') == std::string_view::npos) return false;
   const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
   const auto is_decimal = [&](std::string_view word) {
@@ -441,7 +441,6 @@ bool has_decimal_commas(std::string_view line) {
     const bool inside = comma != std::string_view::npos && comma > 0 && comma + 1 < word.size();
     return inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]);
   };
-  std::vector<std::string_view> words;
   split(line, words, " \t;");
   return words.size() >= 3 && std::ranges::any_of(words, is_decimal);
 }
@@ -470,7 +469,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     if (first && file.line_number() == 1 && !numbers) continue;
     if (first && numbers && values.size() == 1 && !std::exchange(counted, true)) continue;
     if (!numbers || values.size() < 3) throw malformed_line(file, line);
-    if (has_decimal_commas(line)) throw malformed_line(file, line, "numbers with decimal points, not commas");
+    if (has_decimal_commas(line, words)) throw malformed_line(file, line, "numbers with decimal points, not commas");
     if (!columns) columns = columns_of_values(values);
     if (values.size() < columns->count()) throw malformed_line(file, line);
     if (first) builder.emplace(*columns, 1.0);

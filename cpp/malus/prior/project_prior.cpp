@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
@@ -269,8 +270,9 @@ double stated_or_measured(double measured, const PriorOptions& options, const Co
   if (!options.sigma) return measured;
   if (measured > contradicts * *options.sigma) {
     std::ostringstream message;
-    message << "prior cloud: its points scatter by " << measured << " about their surface, but sigma states "
-            << *options.sigma << ", which is taken: check its unit";
+    message << "prior cloud: its points scatter by " << with_digits(measured, 3)
+            << " about their surface, but sigma states " << with_digits(*options.sigma, 3)
+            << ", which is taken: check its unit";
     context.log(LogLevel::warning, message.str());
   }
   return *options.sigma;

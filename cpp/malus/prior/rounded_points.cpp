@@ -1,9 +1,9 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
-#include <sstream>
 #include <vector>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/prior/rounded_points_internal.h"
 
@@ -26,12 +26,11 @@ void warn_if_rounded(const PointCloud& cloud, const Pinhole& camera, const Pose&
   const auto coordinate = static_cast<float>(median_in_place(largest));
   const double step = std::nextafter(coordinate, std::numeric_limits<float>::infinity()) - coordinate;
   if (!(step > tolerated_gsd * median_in_place(gsd))) return;
-  std::ostringstream message;
-  message.precision(3);
-  message << source << ": its coordinates are of single precision, in steps of " << step << " at " << coordinate
-          << ", which is more than a pixel on the object: export them with double precision, or subtract an offset "
-             "from cloud and camera positions";
-  context.log(LogLevel::warning, message.str());
+  context.log(LogLevel::warning,
+              source + ": its coordinates are of single precision, in steps of " + with_digits(step, 3) + " at " +
+                  with_digits(coordinate, 3) +
+                  ", which is more than a pixel on the object: export them with double precision, or subtract an "
+                  "offset from cloud and camera positions");
 }
 
 }  // namespace malus

@@ -48,8 +48,10 @@ CaptureInput make_capture_input(const Station& station) {
   input.mask = station.mask;
   for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
   input.load = [&station](std::size_t k) {
-    const bool whole = station.whole_numbers;
-    return RawImage{station.images[k], whole ? 16 : 32, !whole, 1.0};
+    // Whole numbers are treated like those of a file of 16 bits.
+    constexpr double white_of_16_bits = 65535;
+    return station.whole_numbers ? RawImage{station.images[k], 16, false, white_of_16_bits}
+                                 : RawImage{station.images[k], 32, true, 1.0};
   };
   return input;
 }

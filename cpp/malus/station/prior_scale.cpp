@@ -1,6 +1,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "malus/core/digits_internal.h"
 #include "malus/station/prior_scale_internal.h"
 
 namespace malus {
@@ -33,12 +34,13 @@ Image<float> scaled(Image<float> depth, double scale) {
 std::string describe_scale(const StationFile& station) {
   if (station.scale_errors.empty()) return {};
   std::ostringstream text;
-  text << "known distances make the prior " << station.prior_scale << " times as large; they are then off by";
+  text << "known distances make the prior " << with_digits(station.prior_scale, 6)
+       << " times as large; they are then off by";
   constexpr double rounding = 1e-9;  // relative to the distance; a single distance is met up to rounding
   for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
     const ScaleBar& bar = station.scale_bars[i];
     const double error = station.scale_errors[i];
-    text << (i == 0 ? " " : ", ") << (std::abs(error) < rounding * bar.distance ? 0 : error)
+    text << (i == 0 ? " " : ", ") << with_digits(std::abs(error) < rounding * bar.distance ? 0 : error, 3)
          << (bar.check ? " (check)" : "");
   }
   text << " " << station.unit;
@@ -52,8 +54,8 @@ std::vector<std::string> scale_warnings(const StationFile& station) {
     const ScaleBar& bar = station.scale_bars[i];
     if (std::abs(station.scale_errors[i]) <= worth_a_warning * bar.distance) continue;
     std::ostringstream message;
-    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << bar.distance << " " << station.unit
-            << " known, off by " << station.scale_errors[i] << " " << station.unit;
+    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << with_digits(bar.distance, 6) << " "
+            << station.unit << " known, off by " << with_digits(station.scale_errors[i], 3) << " " << station.unit;
     warnings.push_back(message.str());
   }
   return warnings;

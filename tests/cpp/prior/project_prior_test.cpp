@@ -277,7 +277,8 @@ TEST(PriorOfCloud, WarnsOfANationalGridInSinglePrecision) {
     return warning;
   };
   const Eigen::Vector3d grid(4.3e7, 5.4e7, 90);
-  expect_contains(said(grid, true), "prior cloud: its coordinates are of single precision, in steps of 4 at 5.4e+07");
+  expect_contains(said(grid, true), "prior cloud: its coordinates are of single precision, in steps of 4 at 5");
+  EXPECT_EQ(said(grid, true).find("e+07"), std::string::npos) << "a number without exponent";
   EXPECT_EQ(said(grid, false), "");
   EXPECT_EQ(said(Eigen::Vector3d::Zero(), true), "");
 }

@@ -5,6 +5,7 @@
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/reconstruct.h"
 #include "thrown_error.h"
 
@@ -149,6 +150,20 @@ TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
   EXPECT_EQ(warnings("red.png").find("saturated"), std::string::npos) << "red is not used";
 }
 
+TEST(CheckStation, DoesNotDoubtTheWhiteLevelOfWholeNumbersInMemory) {
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  Image<float>& numbers = station.images.front();
+  numbers.fill(3000);
+  std::fill_n(numbers.row(0), 120, 4095.0F);
+  station.whole_numbers = true;
+  station.file.polarized.white_level = 4095;
+  std::string all;
+  for (const std::string& warning : check_station(station, {}, {}).warnings) all += warning + "\n";
+  expect_contains(all, "10 % of the object's pixels are saturated");
+  EXPECT_EQ(all.find("white_level"), std::string::npos) << all;
+}
+
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
   const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
@@ -166,6 +181,8 @@ TEST(CheckStation, ADistanceMetUpToRoundingIsOffByZero) {
   std::string does;
   for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
   expect_contains(does, "they are then off by 0 mm");
+  station.file.scale_errors = {0.000012};
+  expect_contains(describe_scale(station.file), "off by 0.000012");  // not 1.2e-05
 }
 
 }  // namespace
