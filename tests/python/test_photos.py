@@ -555,6 +555,8 @@ def test_marks_lie_in_their_photos() -> None:
         check(350, 560)  # as in a viewer that turns the photo
     with pytest.raises(package.InputError, match=r"x = 601, y = 3 lies outside of a.jpg, which has 600 x 400 pixels$"):
         check(601, 3)
+    with pytest.raises(package.InputError, match="pixels$"):
+        check(-1, 3)  # outside of the turned photo, too
 
 
 def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def require_marks_in_photos(said: Mapping[str, Any], photos: Sequence[Photo]) ->
         x, y = mark["x"], mark["y"]
         if -0.5 <= x <= photo.width - 0.5 and -0.5 <= y <= photo.height - 0.5:
             continue
-        turned = x <= photo.height - 0.5 and y <= photo.width - 0.5
+        turned = -0.5 <= x <= photo.height - 0.5 and -0.5 <= y <= photo.width - 0.5
         raise InputError(
             f"{said['path']}: {table}: its mark x = {x:g}, y = {y:g} lies outside of {photo.name}, which has "
             f"{photo.width} x {photo.height} pixels"
