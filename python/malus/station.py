@@ -142,12 +142,11 @@ class Station:
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
         without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
         `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
-        prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object.
-        refractive_index None means "auto".
+        prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
         exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
-        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError. Wrong values raise
+        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
         malus.InputError, whose message names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)

@@ -187,7 +187,7 @@ BRITISH = re.compile(
 #: Exceptions: names from other projects, keys of existing files, and a key that is wrong on purpose.
 FOREIGN = re.compile(
     r"aria-labelledby|colour-science|COLOURCHECKERS|CancelledError|\"CANCELLED\"|\"millimetre\"|\w*centres?_world"
-    r"|world_centre_xy|sphere(?: = \{ |\.)centre|point_judgement"
+    r"|world_centre_xy|sphere(?: = \{ |\.)centre|point_judgement|UNIT\[\"metre\""
 )
 #: Where the package colour-science is used, whose module is `colour`.
 OF_COLOUR_SCIENCE = ("python/malus/chart.py", "tests/python/test_chart.py")

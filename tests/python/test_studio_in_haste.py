@@ -216,7 +216,7 @@ def test_an_image_chosen_while_another_one_is_loading_can_be_drawn_on(page: Any)
     page.locator("#draw-image").evaluate("one => { one.selectedIndex = 2; one.dispatchEvent(new Event('change')); }")
     let_go(page, kept, "size")
     page.locator("main:not([aria-busy])").wait_for()
-    page.wait_for_function("!document.querySelector('#draw [inert]')")
+    wait_for(page, lambda: page.locator("#draw [inert]").count() == 0)
 
 
 def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Path) -> None:
@@ -292,7 +292,7 @@ def test_text_being_typed_into_the_station_file_stays(page: Any, station: Path) 
     text.press_sequentially("# typed meanwhile")
     let_go(page, kept, "set")
     wait_for(page, lambda: "Quick" in station.read_text())
-    page.wait_for_function("document.querySelector('#fields input').value === 'Quick'")
+    wait_for(page, lambda: page.locator("#fields input").first.input_value() == "Quick")
     assert text.input_value().endswith("# typed meanwhile") and "Quick" not in text.input_value()
     # The file has changed since the typing began: the page says so before the text replaces the file.
     save = page.locator("#save-text")

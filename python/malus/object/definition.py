@@ -43,8 +43,8 @@ _LEAST_FACES, _MOST_FACES = 100, 10**9
 _TEXTURE_FORMATS = ("webp", "jpeg")
 #: Any of these keys of [camera] gives a pose.
 _POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
-#: Scales of one cloud that differ by less, relatively, are rounding.
-_SAME_SCALE = 1e-9
+#: Relative difference of two scales of one cloud up to which they are measurements of the same distance: that of scale bars.
+_SAME_SCALE = 1e-3
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ def said_of_object(thing: Object, done: Sequence[Outcome], output: Path, gsd: fl
     entries: dict[str, set[str]] = {}
     for catalog in catalogs:
         for key, value in catalog.items():
-            if line := " ".join(value.split()):
+            if line := " ".join((value or "").split()):
                 entries.setdefault(key, set()).add(line)
     agreed = {key: next(iter(values)) for key, values in entries.items() if len(values) == 1}
     told = {
