@@ -104,11 +104,10 @@ def spread_out(values: NDArray[np.float64], step: int, known: NDArray[np.bool_])
     """
     core = np.full(known[::step, ::step].shape, np.nan, np.float32)
     core[known[::step, ::step]] = values
-    at = [
-        np.minimum((np.arange(pixels) + (step - 1) // 2) // step, points - 1)
-        for pixels, points in zip(known.shape, core.shape, strict=True)
-    ]
-    return np.where(known, core[np.ix_(*at)], np.float32(np.nan))
+    rows, columns = (
+        np.minimum((np.arange(known.shape[k]) + (step - 1) // 2) // step, core.shape[k] - 1) for k in (0, 1)
+    )
+    return np.where(known, core[np.ix_(rows, columns)], np.float32(np.nan))
 
 
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:

@@ -156,11 +156,9 @@ class Station:
         if sum(given is not None for given in (prior_points, prior_depth, prior)) > 1:
             raise ValueError("prior_points, prior_depth and prior: more than one is given, expected one of them")
         points, normals = _oriented_points(prior_points, prior_normals)
-        depth = None
-        if prior_depth is not None:
-            depth = as_image(prior_depth, "prior_depth")
-            if depth.shape != shape:
-                raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
+        depth = None if prior_depth is None else as_image(prior_depth, "prior_depth")
+        if depth is not None and depth.shape != shape:
+            raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
             "station": {"name": name, "unit": unit},

@@ -39,7 +39,8 @@ def base64_text(content: bytes) -> str:
 
 def pack(values: NDArray[Any], bits: int = 16) -> str:
     """Whole numbers that fit into so many bits (signed or unsigned), as differences modulo 2^bits, in base64 of Deflate."""
-    steps: NDArray[np.int64] = np.diff(values.ravel().astype(np.int64), prepend=0)
+    whole = values.ravel().astype(np.int64)
+    steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]])
     planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in range(0, bits, 8)])
     return base64_text(zlib.compress(planes.tobytes(), 6))
 
