@@ -2,6 +2,8 @@
 add_library(malus_settings INTERFACE)
 target_compile_features(malus_settings INTERFACE cxx_std_20)
 target_compile_options(malus_settings INTERFACE -Wall -Wextra -Wpedantic -Wshadow $<$<BOOL:${MALUS_WERROR}>:-Werror>)
+# GCC 12 warns about its own std::string (bug 105651).
+target_compile_options(malus_settings INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
 if(MALUS_SANITIZE)
   # In instrumented code GCC 12 warns about its own <regex> and <functional>.
   target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer

@@ -1,6 +1,5 @@
 #include <Eigen/Geometry>
 #include <cmath>
-#include <limits>
 #include <sstream>
 
 #include "malus/assess/high_pass_internal.h"
@@ -10,8 +9,6 @@
 
 namespace malus {
 namespace {
-
-constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
 using Pixels = std::vector<Eigen::Vector2d>;
 
@@ -91,7 +88,7 @@ double roughness(const std::vector<double>& heights, double sigma_samples, const
 }  // namespace
 
 double sample_bilinear(const Image<float>& image, double u, double v) {
-  if (!(u >= 0 && v >= 0 && u <= image.width() - 1 && v <= image.height() - 1)) return nan;
+  if (!(u >= 0 && v >= 0 && u <= image.width() - 1 && v <= image.height() - 1)) return no_value;
   const int left = static_cast<int>(u), top = static_cast<int>(v);
   const double x = u - left, y = v - top;
   double sum = 0;

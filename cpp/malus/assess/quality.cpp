@@ -17,7 +17,6 @@
 namespace malus {
 namespace {
 
-constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 constexpr double degrees = 180 / std::numbers::pi;
 
 RankedValues rank_values(const Image<float>& image, const Context& context) {
@@ -79,7 +78,7 @@ Spread detail_of(const Image<float>& detail, double gsd, const Context& context)
   });
   const auto size = [&](std::size_t i) { return std::abs(detail[i]); };
   const double median = percentiles({detail.count(), size, context}, gsd, {0.5})[0];
-  return {count > 0 ? std::sqrt(squares / count) : nan, deviation_per_median * median};
+  return {count > 0 ? std::sqrt(squares / count) : no_value, deviation_per_median * median};
 }
 
 DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& prior, double gsd,
@@ -157,7 +156,7 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
 
 HeightFigures describe_height(const HeightMap& height) {
   HeightFigures figures{
-      height.status, height.perspective, height.residual_rms, static_cast<double>(height.unknowns), {}, nan};
+      height.status, height.perspective, height.residual_rms, static_cast<double>(height.unknowns), {}, no_value};
   std::copy(height.light.begin(), height.light.end(), figures.light.begin());
   const Eigen::Vector3d light = height.light.head<3>();
   // The camera is at −z from the surface.

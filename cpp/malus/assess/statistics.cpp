@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 
 #include "malus/assess/statistics_internal.h"
@@ -10,8 +9,6 @@
 
 namespace malus {
 namespace {
-
-constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
 /// The nearest, by ratio, of the numbers 1, 2 and 5 · 10ⁿ; x > 0.
 double nearest_round_number(double x) {
@@ -57,7 +54,7 @@ double percentile(std::vector<double> values, double fraction) {
 }
 
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions) {
-  if (values.size() == 0) return std::vector<double>(fractions.size(), nan);
+  if (values.size() == 0) return std::vector<double>(fractions.size(), no_value);
   std::vector<std::size_t> ranks;  // for each fraction the rank at or below it, and the next
   std::vector<double> parts;
   for (const double fraction : fractions) {
@@ -83,11 +80,11 @@ double robust_sigma(std::vector<double> values) {
 
 double root_mean_square(std::span<const double> values) {
   const double squares = std::inner_product(values.begin(), values.end(), values.begin(), 0.0);
-  return values.empty() ? nan : std::sqrt(squares / static_cast<double>(values.size()));
+  return values.empty() ? no_value : std::sqrt(squares / static_cast<double>(values.size()));
 }
 
 Summary summarize(std::vector<double> values) {
-  Summary summary{values.size(), nan, nan, nan, nan, nan, nan, nan, nan};
+  Summary summary{values.size(), no_value, no_value, no_value, no_value, no_value, no_value, no_value, no_value};
   if (values.empty()) return summary;
   summary.mean = std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
   summary.rmse = root_mean_square(values);

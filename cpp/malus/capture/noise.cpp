@@ -13,11 +13,11 @@ constexpr std::size_t least_blocks = 100, least_blocks_in_bin = 30;
 /// Lower decile of the mean square over one block's 64 correlated responses, in units of its expectation (simulated).
 constexpr double decile_of_block = 0.67;
 
-struct Block {
+struct NoiseBlock {
   double signal, variance;
 };
 
-std::optional<Block> block_at(const Image<float>& image, const Mask& saturated, int u0, int v0) {
+std::optional<NoiseBlock> block_at(const Image<float>& image, const Mask& saturated, int u0, int v0) {
   double signal = 0, energy = 0;
   for (int v = v0; v < v0 + block_px; ++v) {
     for (int u = u0; u < u0 + block_px; ++u) {
@@ -29,21 +29,22 @@ std::optional<Block> block_at(const Image<float>& image, const Mask& saturated, 
       energy += response * response / 36;
     }
   }
-  return Block{signal / (block_px * block_px), energy / (block_px * block_px)};
+  return NoiseBlock{signal / (block_px * block_px), energy / (block_px * block_px)};
 }
 
 /// Lower deciles of equally filled bins of intensity.
-std::vector<Block> quietest_blocks(std::vector<Block> blocks) {
-  std::sort(blocks.begin(), blocks.end(), [](const Block& a, const Block& b) { return a.signal < b.signal; });
+std::vector<NoiseBlock> quietest_blocks(std::vector<NoiseBlock> blocks) {
+  std::sort(blocks.begin(), blocks.end(), [](const NoiseBlock& a, const NoiseBlock& b) { return a.signal < b.signal; });
   const std::size_t size = std::max(least_blocks_in_bin, blocks.size() / intensity_bins);
-  std::vector<Block> quietest;
+  std::vector<NoiseBlock> quietest;
   for (std::size_t begin = 0; begin + size <= blocks.size(); begin += size) {
     const auto first = blocks.begin() + static_cast<std::ptrdiff_t>(begin),
                last = first + static_cast<std::ptrdiff_t>(size);
     double signal = 0;
     for (auto block = first; block != last; ++block) signal += block->signal / static_cast<double>(size);
     const auto decile = first + static_cast<std::ptrdiff_t>(size / 10);
-    std::nth_element(first, decile, last, [](const Block& a, const Block& b) { return a.variance < b.variance; });
+    std::nth_element(first, decile, last,
+                     [](const NoiseBlock& a, const NoiseBlock& b) { return a.variance < b.variance; });
     quietest.push_back({signal, decile->variance / decile_of_block});
   }
   return quietest;
@@ -88,7 +89,7 @@ void set_full_well(NoiseModel& noise, double full_well_e) {
 }  // namespace
 
 std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Mask& saturated) {
-  std::vector<Block> blocks;
+  std::vector<NoiseBlock> blocks;
   for (int v = 1; v + block_px < intensity.height(); v += block_px) {
     for (int u = 1; u + block_px < intensity.width(); u += block_px) {
       if (const auto block = block_at(intensity, saturated, u, v)) blocks.push_back(*block);
@@ -97,11 +98,11 @@ std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Ma
   if (blocks.size() < least_blocks) return std::nullopt;
 
   // Straight line with relative weights; texture only adds variance, so bins above the line get less weight.
-  const std::vector<Block> bins = quietest_blocks(std::move(blocks));
+  const std::vector<NoiseBlock> bins = quietest_blocks(std::move(blocks));
   double offset = 0, slope = 0;
   for (int iteration = 0; iteration < 10; ++iteration) {
     double s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
-    for (const Block& bin : bins) {
+    for (const NoiseBlock& bin : bins) {
       const double expected = offset + slope * bin.signal;
       const double relative = expected > 0 ? bin.variance / expected : 1.0;
       const double weight =

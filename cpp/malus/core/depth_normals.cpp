@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
@@ -8,8 +7,6 @@
 
 namespace malus {
 namespace {
-
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// Derivative of ln z along one axis from the values before, here and after (NaN = missing); NaN if neither neighbor is
 /// finite.
@@ -24,7 +21,7 @@ double log_slope(double before, double here, double after) {
 class LogRows {
  public:
   LogRows(const Image<float>& depth, int first, int last)
-      : first_(first), width_(depth.width() + 2), logs_(static_cast<std::size_t>((last - first) * width_), none) {
+      : first_(first), width_(depth.width() + 2), logs_(static_cast<std::size_t>((last - first) * width_), no_value) {
     for (int v = std::max(first, 0); v < std::min(last, depth.height()); ++v) {
       for (int u = 0; u < depth.width(); ++u) {
         const float z = depth(u, v);
@@ -60,7 +57,7 @@ Image<float> normals_from_depth(const Image<float>& depth, const Pinhole& camera
                                      -1 - (u - camera.cx) * slope_u - (v - camera.cy) * slope_v);
         const double length = normal.norm();
         const bool known = std::isfinite(length) && !std::isnan(here);
-        for (int c = 0; c < 3; ++c) normals(u, v, c) = known ? static_cast<float>(normal[c] / length) : none;
+        for (int c = 0; c < 3; ++c) normals(u, v, c) = known ? static_cast<float>(normal[c] / length) : no_value;
       }
     }
   });

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -12,6 +13,9 @@
 #include "malus/core/large_allocator.h"
 
 namespace malus {
+
+/// Marks pixels without a value in rasters of real numbers.
+inline constexpr float no_value = std::numeric_limits<float>::quiet_NaN();
 
 /// Size of a raster in pixels.
 struct Size {

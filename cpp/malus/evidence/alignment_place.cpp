@@ -11,7 +11,7 @@ namespace {
 using Kind = AlignmentProblem::Kind;
 
 /// Larger side of the reduced image for the search, and for the refinement of the place found.
-constexpr double coarse_px = 100, fine_px = 220;
+constexpr double coarse_view_px = 100, fine_view_px = 220;
 constexpr int far_places = 24;
 /// A cue is informative if its signal exceeds `informative_sigmas` standard deviations, by its scatter over the image,
 /// and `informative_ratio` times the largest value at unrelated places. Where few parts of the image have all of the
@@ -233,12 +233,12 @@ double AlignmentPlace::explained() const {
 }
 
 int coarse_factor(Size image) {
-  return factor_for(image, coarse_px);
+  return factor_for(image, coarse_view_px);
 }
 
 AlignmentPlace find_place(const ProblemAtFactor& problem_at, Size image, bool quick, const Context& context) {
   AlignmentPlace result;
-  const int at_coarse = coarse_factor(image), fine_factor = factor_for(image, fine_px);
+  const int at_coarse = coarse_factor(image), fine_factor = factor_for(image, fine_view_px);
   const AlignmentProblem coarse = problem_at(at_coarse), fine = problem_at(fine_factor);
   result.usable = coarse.is_usable() && fine.is_usable();
   if (!result.usable) return result;

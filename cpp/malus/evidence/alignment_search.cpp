@@ -8,10 +8,10 @@
 namespace malus {
 namespace {
 
-constexpr double degree = std::numbers::pi / 180;
 constexpr std::size_t fewest_pixels = 150;
 constexpr double largest_shift = 0.08;  ///< share of the object's size
-constexpr std::array turns_rad{-5 * degree, -2.5 * degree, 0.0, 2.5 * degree, 5 * degree};
+constexpr double one_degree = std::numbers::pi / 180;
+constexpr std::array turns_rad{-5 * one_degree, -2.5 * one_degree, 0.0, 2.5 * one_degree, 5 * one_degree};
 constexpr std::array log_scales{-0.08, -0.04, 0.0, 0.04, 0.08};
 constexpr std::size_t places_kept = 3;
 constexpr double beyond_grid = 1.5;

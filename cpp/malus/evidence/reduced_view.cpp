@@ -14,7 +14,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr double darkest = 0.01;  ///< share of the white level, added before logarithms: below it they show noise
 constexpr std::size_t most_points = 2000000;
 /// Points farther than this behind the nearest point around them are hidden.
@@ -81,9 +80,13 @@ SceneView scene_view(const PolarizationState& state, const Image<float>& scene, 
   require_size(object, state.size(), "mask");
   if (!scene.empty()) require_size(scene, state.size(), "unpolarized intensity of the scene");
   const Size size{state.size().width / factor, state.size().height / factor};
-  SceneView view{
-      factor,    Image<float>(size, 1, none), Mask(size), Image<float>(size), Image<float>(size), Image<float>(size),
-      Mask(size)};
+  SceneView view{factor,
+                 Image<float>(size, 1, no_value),
+                 Mask(size),
+                 Image<float>(size),
+                 Image<float>(size),
+                 Image<float>(size),
+                 Mask(size)};
   const StokesVariances variances(state);
   for_each_pixel(size, [&](int column, int row) {
     double light = 0, variance = 0;
@@ -92,7 +95,7 @@ SceneView scene_view(const PolarizationState& state, const Image<float>& scene, 
     for_each_pixel(cell_rect(column, row, factor, state.size()), [&](int u, int v) {
       objects += object(u, v) != 0;
       const bool is_valid = state.is_valid(u, v);
-      const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : none;
+      const float intensity = !scene.empty() ? scene(u, v) : is_valid ? state.i_un(u, v) : no_value;
       if (std::isfinite(intensity)) {
         light += intensity;
         ++lit;
@@ -130,7 +133,7 @@ Pinhole reduced_camera(const Pinhole& camera, int factor) {
 PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {
   PriorView view;
   view.seen = Mask(camera.size);
-  view.normals = Image<float>(camera.size, 3, none);
+  view.normals = Image<float>(camera.size, 3, no_value);
   std::vector<SplatPoint> points = project(cloud, camera, cam_from_cloud);
   drop_hidden(points, camera);
   // Density, depth, brightness and normal, summed in pixels, then smoothed equally.
@@ -145,10 +148,10 @@ PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen
     depths.push_back(point.depth);
   }
   view.median_depth = median_in_place(depths);
-  if (!cloud.colors.empty()) view.brightness = Image<float>(camera.size, 1, none);
+  if (!cloud.colors.empty()) view.brightness = Image<float>(camera.size, 1, no_value);
   const double sigma = knows_normals(cloud) ? splat_sigma_px : depth_sigma_px;
   smooth(sums, sigma);
-  view.depth = Image<float>(camera.size, 1, none);
+  view.depth = Image<float>(camera.size, 1, no_value);
   bool lacks_normals = false;
   for (std::size_t i = 0; i < view.seen.count(); ++i) {
     const float* const sum = sums.data() + 6 * i;
@@ -175,7 +178,7 @@ PriorView prior_view(const Image<float>& depth, const Pinhole& camera, int facto
   const Pinhole reduced = reduced_camera(camera, factor);
   PriorView view;
   view.seen = Mask(reduced.size);
-  view.depth = Image<float>(reduced.size, 1, none);
+  view.depth = Image<float>(reduced.size, 1, no_value);
   std::vector<float> depths;
   for_each_pixel(reduced.size, [&](int column, int row) {
     double sum = 0;

@@ -13,7 +13,7 @@ constexpr double bend_of_encoded = -0.30, bend_of_decoded = 0.136;
 /// With a larger `bend_sigma` than `largest_sigma`, noise of the phases bends the sinusoid, too: of 325 rendered
 /// stations, no linear one gives a warning with 0.02.
 constexpr double largest_sigma = 0.02, certain_sigmas = 4;
-constexpr double least_degree = 0.02;
+constexpr double least_polarized = 0.02;
 /// A residual above this share of the intensity does not come from a response curve.
 constexpr double largest_residual = 0.1;
 
@@ -45,7 +45,7 @@ std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, 
   for (std::size_t i = 0; i < samples.values.size(); ++i) {
     const Eigen::Vector3d stokes = inverse * samples.values[i];
     const double intensity = stokes[0] / 2, degree = std::hypot(stokes[1], stokes[2]) / stokes[0];
-    if (!(degree > least_degree)) continue;
+    if (!(degree > least_polarized)) continue;
     const Eigen::VectorXd residual = projection * samples.values[i];
     if (residual.cwiseAbs().maxCoeff() > largest_residual * intensity) continue;
     const double twice_phase = std::atan2(stokes[2], stokes[1]);

@@ -20,15 +20,13 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
-
 /// Values at the nodes of a grid over the image; node (i, j) lies at pixel (offset + i · pitch, offset + j · pitch).
 class NodeGrid {
  public:
   NodeGrid(Size image, int pitch)
       : pitch_(pitch),
         offset_(std::min({pitch / 2, image.width - 1, image.height - 1})),
-        values_({(image.width - 1 - offset_) / pitch + 1, (image.height - 1 - offset_) / pitch + 1}, 1, none) {}
+        values_({(image.width - 1 - offset_) / pitch + 1, (image.height - 1 - offset_) / pitch + 1}, 1, no_value) {}
 
   Image<float>& values() { return values_; }
   int pixel(int node) const { return offset_ + node * pitch_; }
@@ -279,7 +277,7 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   const double mean_depth = height.perspective ? 0 : finite_mean(prior.depth, context);
   parallel_pixels(context, coarse.size(), [&](int u, int v) {
     const float before = coarse(u, v);
-    surface.depth(u, v) = surface.sigma(u, v) = none;
+    surface.depth(u, v) = surface.sigma(u, v) = no_value;
     if (!std::isfinite(before)) return;
     const float after = transfer.fused(u, v, polarization(u, v), before);
     if (!std::isfinite(after)) return;

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <numbers>
 #include <string>
@@ -23,7 +22,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int tile_px = 256, margin_px = 24;
 /// Width of the strip of pixels along a tile's cut that are held.
 constexpr int held_px = 2;
@@ -289,7 +287,7 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
     return static_cast<float>(input.perspective ? -focal * std::log(z / origin) : focal * (1 - z / origin));
   };
   const auto heights_of = [&](const Image<float>& depth) {
-    Image<float> heights(depth.size(), 1, none);
+    Image<float> heights(depth.size(), 1, no_value);
     for (std::size_t i = 0; i < depth.count(); ++i)
       if (std::isfinite(depth[i]) && std::isfinite(input.prior.depth[i])) heights[i] = height_of(depth[i]);
     return heights;

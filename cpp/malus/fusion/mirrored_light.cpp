@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <limits>
 
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -16,9 +15,8 @@ constexpr double strength_sigma = 0.5, misfit = 0.01, sigma_px = mirrored_light_
 }  // namespace
 
 Image<float> mirrored_light(const RefinementField& field, const Context& context) {
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   const Size size = field.size();
-  Image<float> mirrored(size, 1, none), both(size, 1, none), own(size, 1, none);
+  Image<float> mirrored(size, 1, no_value), both(size, 1, no_value), own(size, 1, no_value);
   if (field.reflection.metal_error > 0) return mirrored;
   parallel_pixels(context, size, [&](int u, int v) {
     const bool diffuse = field.kind(u, v) == Reflection::diffuse;

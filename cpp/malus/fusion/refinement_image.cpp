@@ -1,13 +1,10 @@
 #include <cmath>
-#include <limits>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/refinement_image_internal.h"
 
 namespace malus {
 namespace {
-
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// Pixel data of a station.
 class StationPixels {
@@ -53,7 +50,7 @@ class StationPixels {
         if (has(far_u, pv)) x += 0.5 * (here - x_of(far_u, pv));
         if (has(pu, far_v)) x += 0.5 * (here - x_of(pu, far_v));
       }
-      const double known_sigma = prior_.sigma.empty() ? none : prior_.sigma(pu, pv);
+      const double known_sigma = prior_.sigma.empty() ? no_value : prior_.sigma(pu, pv);
       if (!std::isfinite(known_sigma)) continue;
       sigma += known_sigma / (prior_.depth(pu, pv) / focal_);
       ++known;
@@ -100,8 +97,8 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
                                &field.stokes_precision, &field.regional_weight, &field.log_body})
     *raster = Image<float>::uninitialized(size);
   parallel_pixels(context, size, [&](int u, int v) {
-    const PixelData pixel =
-        field.object(u, v) ? source(rect.u0 + u, rect.v0 + v) : PixelData{none, none, none, none, none, none};
+    const PixelData pixel = field.object(u, v) ? source(rect.u0 + u, rect.v0 + v)
+                                               : PixelData{no_value, no_value, no_value, no_value, no_value, no_value};
     field.x_prior(u, v) = pixel.x_prior;
     field.prior_sigma(u, v) = pixel.prior_sigma;
     field.s0(u, v) = pixel.s0;
@@ -110,14 +107,14 @@ RefinementField RefinementImage::part(const PixelRect& rect, const Context& cont
     field.variance(u, v) = pixel.variance;
     field.mirror_body(u, v) = field.stokes_precision(u, v) = 0;
     field.regional_weight(u, v) = 1;
-    field.log_body(u, v) = none;
+    field.log_body(u, v) = no_value;
   });
   field.block_weight = field.block_mean = Image<float>(field.block_count());
   return field;
 }
 
 Image<double> RefinementImage::prior_surface(const Context& context) const {
-  Image<double> x_prior(size(), 1, none);
+  Image<double> x_prior(size(), 1, no_value);
   parallel_pixels(context, object, [&](int u, int v) { x_prior(u, v) = source(u, v).x_prior; });
   return x_prior;
 }

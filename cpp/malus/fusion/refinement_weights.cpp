@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
@@ -21,9 +20,8 @@ namespace {
 void estimate_mirror_body(RefinementField& field, const Context& context) {
   const double likely = std::clamp(3.3 * field.reflection.mirror.body_spread, 0.25, 0.5);
   constexpr double blur_px = 4, few = 0.02;
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   const MirrorReflection& mirror = field.reflection.mirror;
-  Image<float> body(field.size(), 1, none), weight(field.size(), 1, none), product(field.size(), 1, none);
+  Image<float> body(field.size(), 1, no_value), weight(field.size(), 1, no_value), product(field.size(), 1, no_value);
   parallel_pixels(context, field.size(), [&](int u, int v) {
     if (!field.object(u, v) || !field.usable(u, v) || field.kind(u, v) != Reflection::specular) return;
     const double tan2 = central_slopes(field, u, v).tan2();
@@ -48,13 +46,12 @@ bool has_specular(const RefinementField& field) {
 }
 
 PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& options, const Context& context) {
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double darkest_body = 1e-3;
-  PixelResiduals out{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
+  PixelResiduals out{Image<float>(field.size(), 1, no_value), Image<float>(field.size(), 1, no_value)};
   parallel_pixels(context, field.size(), [&](int u, int v) {
     field.stokes_precision(u, v) = 0;
     field.regional_weight(u, v) = 1;
-    field.log_body(u, v) = none;
+    field.log_body(u, v) = no_value;
     if (!field.object(u, v) || !field.usable(u, v)) return;
     const Slopes slopes = central_slopes(field, u, v);
     const RayFrame frame = field.frame_at(u, v);

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <limits>
 
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -15,8 +14,7 @@ struct Evidence {
 };
 
 Evidence collect_evidence(const RefinementField& field, const Context& context) {
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
-  Evidence evidence{Image<float>(field.size(), 1, none), Image<float>(field.size(), 1, none)};
+  Evidence evidence{Image<float>(field.size(), 1, no_value), Image<float>(field.size(), 1, no_value)};
   parallel_pixels(context, field.size(), [&](int u, int v) {
     if (!field.object(u, v) || !field.usable(u, v)) return;
     const Slopes slopes = central_slopes(field, u, v);

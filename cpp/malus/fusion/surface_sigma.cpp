@@ -93,9 +93,8 @@ Image<float> contour_sigma(const RefinementField& field, const Context& context)
 
 Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_t>& trust, const PriorErrors& errors,
                            const Context& context) {
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   constexpr double low_frequency_px = surface_sigma_reach_px / 3.0, high_frequency_px = 3;  // blurs end at 3 sigma
-  Image<float> change(field.size(), 1, none), slope(field.size(), 1, none);
+  Image<float> change(field.size(), 1, no_value), slope(field.size(), 1, no_value);
   parallel_pixels(context, field.object, [&](int u, int v) {
     change(u, v) = static_cast<float>(square(field.x(u, v) - field.x_prior(u, v)));
     slope(u, v) = static_cast<float>(slope_variance(field, u, v));
@@ -107,7 +106,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   const Image<float> slopes = masked_blur(slope, field.object, high_frequency_px, context);
   const Image<float> prior = prior_variance(field, errors, context);
   const Image<float> contour = contour_sigma(field, context);
-  Image<float> sigma(field.size(), 1, none);
+  Image<float> sigma(field.size(), 1, no_value);
   parallel_pixels(context, field.object, [&](int u, int v) {
     const double gsd = field.depth_of(field.x(u, v)) / field.camera.focal(), share = trust(u, v) / 255.0;
     const double refined = of_prior * prior(u, v) + changes(u, v) / 15 + high_frequency_px * slopes(u, v);

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -16,7 +15,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Gauss–Newton steps that raise the cost by more than this factor are halved, at most `most_halvings` times.
 constexpr double allowed_rise = 1.05;
 constexpr int most_halvings = 5;
@@ -90,7 +88,7 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
 
 /// Raster of the unknowns' heights, NaN elsewhere.
 Image<float> raster_of(const Eigen::VectorXd& height, const PixelIndex& pixels) {
-  Image<float> raster(pixels.size(), 1, none);
+  Image<float> raster(pixels.size(), 1, no_value);
   for (int i = 0; i < pixels.count(); ++i) raster(pixels.u(i), pixels.v(i)) = static_cast<float>(height[i]);
   return raster;
 }
@@ -115,7 +113,7 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
 /// Holds to the start those pixels along a tile's edges beyond which the image continues.
 void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
   constexpr int ring_px = GridSystem::reach;
-  tile.ring_height = Image<float>(tile.size(), 1, none);
+  tile.ring_height = Image<float>(tile.size(), 1, no_value);
   for_each_pixel(box, [&](int u, int v) {
     if (box.is_at_cut(u, v, ring_px, start.size())) tile.ring_height(u - box.u0, v - box.v0) = start(u, v);
   });
@@ -129,7 +127,7 @@ HeightMap solve_tile(const HeightData& tile, const Image<float>& start, PixelRec
   // long.
   HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
   HeightMap map;
-  map.height = Image<float>(tile.size(), 1, none);
+  map.height = Image<float>(tile.size(), 1, no_value);
   map.unknowns = static_cast<std::size_t>(problem.unknowns());
   if (problem.unknowns() == 0) return map;
   Eigen::VectorXd height(problem.unknowns());
@@ -231,7 +229,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const Pinhole* camera = input.is_perspective(options) ? input.camera : nullptr;
   HeightMap map;
   map.perspective = camera != nullptr;
-  map.height = Image<float>(state.size(), 1, none);
+  map.height = Image<float>(state.size(), 1, no_value);
 
   Mask valid = pixels_in(state, PixelState::valid);
   if (count_of_set(valid) == 0) {
@@ -270,7 +268,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   if (!is_whole(state.size().area(), options)) {
     solve_by_levels(coarsened(input, options, context), options, model, context, map);
     if (map.status == HeightStatus::singular) {
-      map.height = Image<float>(state.size(), 1, none);
+      map.height = Image<float>(state.size(), 1, no_value);
       return map;
     }
     const Image<float> start = refined_height(map.height, object, context);
@@ -294,13 +292,13 @@ Image<float> height_from_depth(const Image<float>& depth, const Pinhole& camera,
   const auto measure = [&](float z) { return perspective ? std::log(static_cast<double>(z)) : static_cast<double>(z); };
   // Values relative to one of the depths are small, so that single precision suffices until the mean is known.
   const auto known = std::find_if(depth.begin(), depth.end(), [](float z) { return std::isfinite(z); });
-  if (known == depth.end()) return Image<float>(depth.size(), 1, none);
+  if (known == depth.end()) return Image<float>(depth.size(), 1, no_value);
   auto height = Image<float>::uninitialized(depth.size());
   const double origin = measure(*known);
   constexpr std::size_t grain = 65536;
   parallel_for(context, depth.count(), grain, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
-      height[i] = std::isfinite(depth[i]) ? static_cast<float>(origin - measure(depth[i])) : none;
+      height[i] = std::isfinite(depth[i]) ? static_cast<float>(origin - measure(depth[i])) : no_value;
     }
   });
   const double mean = finite_mean(height, context), scale = camera.focal() / (perspective ? 1 : origin - mean);

@@ -6,14 +6,14 @@
 namespace malus {
 namespace {
 
-using Json = nlohmann::json;
+using ParsedJson = nlohmann::json;
 
-toml::table table_of(const Json& json, const std::string& where);
-toml::array array_of(const Json& json, const std::string& where);
+toml::table table_of(const ParsedJson& json, const std::string& where);
+toml::array array_of(const ParsedJson& json, const std::string& where);
 
 /// Calls `put` with the value as a TOML type. `where`: the value's place, for messages.
 template <class Put>
-void with_toml(const Json& json, const std::string& where, const Put& put) {
+void with_toml(const ParsedJson& json, const std::string& where, const Put& put) {
   if (json.is_object()) {
     put(table_of(json, where));
   } else if (json.is_array()) {
@@ -32,7 +32,7 @@ void with_toml(const Json& json, const std::string& where, const Put& put) {
 }
 
 /// JSON object as a TOML table; null values are left out.
-toml::table table_of(const Json& json, const std::string& where) {
+toml::table table_of(const ParsedJson& json, const std::string& where) {
   toml::table table;
   for (const auto& [key, value] : json.items()) {
     if (value.is_null()) continue;
@@ -42,7 +42,7 @@ toml::table table_of(const Json& json, const std::string& where) {
   return table;
 }
 
-toml::array array_of(const Json& json, const std::string& where) {
+toml::array array_of(const ParsedJson& json, const std::string& where) {
   toml::array array;
   for (std::size_t k = 0; k < json.size(); ++k) {
     const std::string place = where + "[" + std::to_string(k) + "]";
@@ -57,7 +57,7 @@ StationFile read_given_station(const std::string& json, std::size_t image_count,
                                bool has_prior) {
   GivenInMemory given{{}, camera, has_prior};
   for (std::size_t k = 0; k < image_count; ++k) given.images.push_back("images[" + std::to_string(k) + "]");
-  StationFile station = read_station_tables(table_of(Json::parse(json), "station: "), "station", &given);
+  StationFile station = read_station_tables(table_of(ParsedJson::parse(json), "station: "), "station", &given);
   station.path.clear();
   return station;
 }

@@ -18,7 +18,7 @@
 namespace malus {
 namespace {
 
-using Json = nlohmann::ordered_json;
+using GltfJson = nlohmann::ordered_json;
 
 static_assert(std::endian::native == std::endian::little, "glTF is written in the machine's byte order");
 
@@ -37,7 +37,7 @@ class Buffer {
   /// Appends a section of `size` bytes that write(file, offset, context) writes, and returns the index of its buffer
   /// view.
   int add(std::size_t size, std::optional<int> target, Write write) {
-    Json view = {{"buffer", 0}, {"byteOffset", size_}, {"byteLength", size}};
+    GltfJson view = {{"buffer", 0}, {"byteOffset", size_}, {"byteLength", size}};
     if (target) view["target"] = *target;
     views_.push_back(view);
     pieces_.push_back({size, std::move(write)});
@@ -56,7 +56,7 @@ class Buffer {
   }
 
   std::size_t size() const { return size_; }
-  const Json& views() const { return views_; }
+  const GltfJson& views() const { return views_; }
   void write(AtomicFile& file, std::size_t offset, const Context& context) const {
     for (const Piece& piece : pieces_) {
       piece.write(file, offset, context);
@@ -75,10 +75,10 @@ class Buffer {
 
   std::size_t size_ = 0;
   std::vector<Piece> pieces_;
-  Json views_ = Json::array();
+  GltfJson views_ = GltfJson::array();
 };
 
-Json accessor(int view, int component, const char* type, std::size_t count) {
+GltfJson accessor(int view, int component, const char* type, std::size_t count) {
   return {{"bufferView", view}, {"componentType", component}, {"count", count}, {"type", type}};
 }
 
@@ -122,19 +122,19 @@ Float3 unit_normal(const Eigen::Vector3f& normal) {
 }
 
 /// Column-major matrix of the camera node: glTF cameras look along −z with y up.
-Json camera_matrix(const Pose& pose, double metres) {
+GltfJson camera_matrix(const Pose& pose, double metres) {
   Eigen::Matrix4d world_from_gl = Eigen::Matrix4d::Identity();
   world_from_gl.topLeftCorner<3, 3>() = pose.rotation.transpose() * Eigen::Vector3d(1, -1, -1).asDiagonal();
   world_from_gl.topRightCorner<3, 1>() = metres * pose.centre();
   return std::vector<double>(world_from_gl.data(), world_from_gl.data() + world_from_gl.size());
 }
 
-Json document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,
-              const std::string& name, Buffer& buffer) {
+GltfJson document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,
+                  const std::string& name, Buffer& buffer) {
   const std::size_t count = mesh.vertices.points.size();
   const Positions positions(mesh.vertices.points, unit.metres);
-  Json accessors = Json::array(), attributes;
-  Json position =
+  GltfJson accessors = GltfJson::array(), attributes;
+  GltfJson position =
       accessor(buffer.add_records(mesh.vertices.points, target_vertices, positions), type_float, "VEC3", count);
   position["min"] = positions.low;
   position["max"] = positions.high;
@@ -206,8 +206,8 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
                       std::to_string(mesh.vertices.normals.size()) + " normals, expected none or as many");
   }
   Buffer buffer;
-  Json content = document(mesh, texture, unit, name, buffer);
-  if (!extras.empty()) content["asset"]["extras"] = Json::parse(extras);
+  GltfJson content = document(mesh, texture, unit, name, buffer);
+  if (!extras.empty()) content["asset"]["extras"] = GltfJson::parse(extras);
   std::string json = content.dump();
   json.resize((json.size() + 3) / 4 * 4, ' ');
   const std::size_t first_piece = 12 + 8 + json.size() + 8, total = first_piece + buffer.size();

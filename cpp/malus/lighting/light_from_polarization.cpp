@@ -13,7 +13,7 @@ namespace malus {
 namespace {
 
 /// The two normals of a pixel are along + aside and along − aside.
-struct Sample {
+struct PixelSample {
   Eigen::Vector3d along, aside;
   double intensity;
   Eigen::Vector2d from_middle;  ///< in the image, x right, y up
@@ -24,8 +24,8 @@ constexpr int rounds = 30;
 /// Up to this angle between them, the light from all pixels is the outline's light, only more precise.
 constexpr double same_light = 10 * std::numbers::pi / 180;
 
-std::vector<Sample> take_samples(const PolarizationState& state, const ReflectionMap& reflection,
-                                 const Pinhole* camera) {
+std::vector<PixelSample> take_samples(const PolarizationState& state, const ReflectionMap& reflection,
+                                      const Pinhole* camera) {
   const auto usable = [&](int u, int v) { return reflection.at(u, v) != Reflection::outside && state.is_valid(u, v); };
   std::size_t count = 0;
   Eigen::Vector2d middle = Eigen::Vector2d::Zero();
@@ -36,7 +36,7 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Reflectio
   });
   middle /= static_cast<double>(std::max<std::size_t>(count, 1));
   const std::size_t stride = count / most_samples + 1;
-  std::vector<Sample> samples;
+  std::vector<PixelSample> samples;
   std::size_t next = 0;
   for_each_pixel(state.size(), [&](int u, int v) {
     if (!usable(u, v) || next++ % stride != 0) return;
@@ -51,7 +51,7 @@ std::vector<Sample> take_samples(const PolarizationState& state, const Reflectio
 }
 
 /// +1 or −1: which of the two normals explains the intensity better.
-double likelier_side(const Sample& sample, const Eigen::Vector3d& light) {
+double likelier_side(const PixelSample& sample, const Eigen::Vector3d& light) {
   const double difference = (sample.intensity - light.dot(sample.along)) * light.dot(sample.aside);
   return difference < 0 ? -1 : 1;
 }
@@ -64,17 +64,17 @@ struct Fit {
 
 /// Expectation of the side, −1 … 1, for normally distributed residuals. Where the intensities of the two normals differ
 /// by less than the residuals, the likelier side is a guess. Taking always the better fit would bias the light.
-double expected_side(const Sample& sample, const Fit& fit) {
+double expected_side(const PixelSample& sample, const Fit& fit) {
   if (fit.robust_sigma == 0) return likelier_side(sample, fit.light);
   const double product = (sample.intensity - fit.light.dot(sample.along)) * fit.light.dot(sample.aside);
   return std::tanh(product / (fit.robust_sigma * fit.robust_sigma));
 }
 
 /// Estimates light and sides alternately, starting from a direction; a known direction stays fixed.
-Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& direction, bool is_known,
+Fit fit_from(const std::vector<PixelSample>& samples, const Eigen::Vector3d& direction, bool is_known,
              double outlier_scale) {
   double mean = 0;
-  for (const Sample& sample : samples) mean += sample.intensity / static_cast<double>(samples.size());
+  for (const PixelSample& sample : samples) mean += sample.intensity / static_cast<double>(samples.size());
   Fit fit;
   fit.light = mean / std::max(-direction.z(), 0.2) * direction;
   std::vector<double> residuals(samples.size()), weights(samples.size(), 1.0);
@@ -82,7 +82,7 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
     Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     for (std::size_t i = 0; i < samples.size(); ++i) {
-      const Sample& s = samples[i];
+      const PixelSample& s = samples[i];
       const double side = expected_side(s, fit);
       // Means over both sides of normal · normalᵀ and of the normal.
       const Eigen::Matrix3d mixed = side * (s.along * s.aside.transpose() + s.aside * s.along.transpose());
@@ -93,7 +93,7 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
                          : Eigen::Vector3d(matrix.ldlt().solve(right));
     double squares = 0, sum = 0;
     for (std::size_t i = 0; i < samples.size(); ++i) {
-      const Sample& s = samples[i];
+      const PixelSample& s = samples[i];
       residuals[i] = std::abs(s.intensity - fit.light.dot(s.along + likelier_side(s, fit.light) * s.aside));
       squares += weights[i] * residuals[i] * residuals[i];
       sum += weights[i];
@@ -105,9 +105,9 @@ Fit fit_from(const std::vector<Sample>& samples, const Eigen::Vector3d& directio
 }
 
 /// Positive if the normals point away from the middle of the object on average.
-double convexity(const std::vector<Sample>& samples, const Eigen::Vector3d& light) {
+double convexity(const std::vector<PixelSample>& samples, const Eigen::Vector3d& light) {
   double sum = 0;
-  for (const Sample& s : samples) {
+  for (const PixelSample& s : samples) {
     const Eigen::Vector3d normal = likelier_side(s, light) * s.aside;
     sum += normal.x() * s.from_middle.x() - normal.y() * s.from_middle.y();  // the camera's y points down
   }
@@ -116,7 +116,7 @@ double convexity(const std::vector<Sample>& samples, const Eigen::Vector3d& ligh
 
 /// The best light of several starts. Its side is arbitrary: turned by 180° about the view, it fits the images equally
 /// well.
-Fit fit_of_unknown_direction(const std::vector<Sample>& samples, double outlier_scale, const Context& context) {
+Fit fit_of_unknown_direction(const std::vector<PixelSample>& samples, double outlier_scale, const Context& context) {
   Fit best;
   for (const double tilt_deg : {20.0, 50.0}) {
     for (int turn = 0; turn < 8; ++turn) {
@@ -142,7 +142,7 @@ LightEstimate light_from_polarization(const PolarizationState& state, const Refl
   if (!direction && options.without_prior == LightWithoutPrior::contour)
     of_outline = light_from_contour(state, reflection, camera, options, context);
   LightEstimate light;
-  const std::vector<Sample> samples = take_samples(state, reflection, camera);
+  const std::vector<PixelSample> samples = take_samples(state, reflection, camera);
   light.pixels = samples.size();
   if (samples.size() < fewest_samples) {
     light.status = LightStatus::too_few_pixels;

@@ -12,7 +12,7 @@
 namespace malus {
 namespace {
 
-constexpr double pi = std::numbers::pi;
+using std::numbers::pi;
 constexpr std::size_t min_cells = 200;
 /// Smallest share of the cells that must remain outside the highlight.
 constexpr double min_share_beside_highlight = 0.05;

@@ -10,7 +10,7 @@
 namespace malus {
 namespace {
 
-constexpr double pi = std::numbers::pi;
+using std::numbers::pi;
 constexpr int zones = 10, parts_per_side = 8;
 constexpr double profile_step_rad = 10 * pi / 180;
 /// Smallest noise of s1 / s0 and s2 / s0 assumed for a cell, and the error of a surface's slopes: the flatter the

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "malus/core/simd_internal.h"
 #include "malus/polarization/polarization_state.h"
@@ -58,7 +57,6 @@ template <class Sample>
   }
 
   const float misfit_variance = fit.misfit_variance, misfit_fraction2 = fit.misfit_fraction2, dark = fit.dark;
-  constexpr float none = std::numeric_limits<float>::quiet_NaN();
   alignas(64) int inside[length], misfit[length];
   const std::uint8_t* const mask = run.mask;
   int misfits = 0;
@@ -77,10 +75,10 @@ template <class Sample>
   for (std::size_t i = 0; i < length; ++i) deviation[i] = std::sqrt(normalized[i]);
   for (std::size_t i = 0; i < length; ++i) degree[i] = std::min(linear[i] / std::max(half_s0[i], least), 1.0F);
   float* __restrict const i_un = run.i_un, * __restrict const rho = run.rho, * __restrict const phi = run.phi, * __restrict const residual = run.residual;
-  for (std::size_t i = 0; i < length; ++i) i_un[i] = inside[i] ? half_s0[i] : none;
-  for (std::size_t i = 0; i < length; ++i) rho[i] = inside[i] ? (half_s0[i] > 0 ? degree[i] : 0.0F) : none;
-  for (std::size_t i = 0; i < length; ++i) phi[i] = inside[i] ? phase_of(half_s1[i], half_s2[i]) : none;
-  for (std::size_t i = 0; i < length; ++i) residual[i] = inside[i] ? deviation[i] : none;
+  for (std::size_t i = 0; i < length; ++i) i_un[i] = inside[i] ? half_s0[i] : no_value;
+  for (std::size_t i = 0; i < length; ++i) rho[i] = inside[i] ? (half_s0[i] > 0 ? degree[i] : 0.0F) : no_value;
+  for (std::size_t i = 0; i < length; ++i) phi[i] = inside[i] ? phase_of(half_s1[i], half_s2[i]) : no_value;
+  for (std::size_t i = 0; i < length; ++i) residual[i] = inside[i] ? deviation[i] : no_value;
   const std::uint8_t* const saturated = run.saturated;
   std::uint8_t* __restrict const valid = run.valid;
   for (std::size_t i = 0; i < length; ++i) {

@@ -35,7 +35,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// If more than this share of a cloud's points on the object faces away, the error message names the normals as the
 /// cause.
 constexpr double mostly = 0.7;
@@ -298,7 +297,7 @@ Smoothing smoothing_for(const VisiblePoints& visible, const Mask& mask, const Pr
 }
 
 DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
-  const Image<float> nothing(camera.size, 1, none);
+  const Image<float> nothing(camera.size, 1, no_value);
   return {nothing, nothing, camera, pose};
 }
 

@@ -1,19 +1,16 @@
 #include <cmath>
-#include <limits>
 
 #include "malus/prior/shape_depth_internal.h"
 
 namespace malus {
 namespace {
 
-constexpr double none = std::numeric_limits<double>::quiet_NaN();
-
 /// Least positive t with a t² + 2 b t + c = 0.
 double nearest_root(double a, double b, double c) {
   const double discriminant = b * b - a * c;
-  if (!(a > 0) || discriminant < 0) return none;
+  if (!(a > 0) || discriminant < 0) return no_value;
   const double near = (-b - std::sqrt(discriminant)) / a, far = (-b + std::sqrt(discriminant)) / a;
-  return near > 0 ? near : far > 0 ? far : none;
+  return near > 0 ? near : far > 0 ? far : no_value;
 }
 
 /// Distance along a ray to a shape, in units of the ray's length.
@@ -22,7 +19,7 @@ struct RayHit {
 
   double operator()(const PlaneShape& plane) const {
     const double t = plane.normal.dot(plane.point - origin) / plane.normal.dot(ray);
-    return t > 0 && std::isfinite(t) ? t : none;
+    return t > 0 && std::isfinite(t) ? t : no_value;
   }
   double operator()(const SphereShape& sphere) const {
     const Eigen::Vector3d from = origin - sphere.center;

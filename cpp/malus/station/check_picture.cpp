@@ -12,7 +12,7 @@ namespace {
 constexpr std::size_t most_points = 100000;
 
 /// The prior's points in the world frame. A depth map is in the undistorted view.
-struct PriorPoints {
+struct PointsInView {
   const CameraSpec& camera;
 
   using Points = std::vector<Eigen::Vector3d>;
@@ -52,7 +52,7 @@ CheckPicture check_picture(const Station& station, const Context& context) {
   picture.object = captured_object(station, picture.image.size());
   if (!station.file.camera) return picture;
   const CameraSpec& camera = *station.file.camera;
-  const auto points = with_prior(station, context, PriorPoints{camera});
+  const auto points = with_prior(station, context, PointsInView{camera});
   const std::vector<SeenPoint> seen = seen_points(points, camera, picture.image.size());
   for (std::size_t i = 0; i < seen.size(); i += seen.size() / most_points + 1) {
     const SeenPoint& point = seen[i];

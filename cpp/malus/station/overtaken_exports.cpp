@@ -7,17 +7,17 @@
 namespace malus {
 
 std::vector<std::string> overtaken_exports(const std::filesystem::path& folder) {
-  using Json = Workspace::Json;
+  using Record = Workspace::Json;
   const std::filesystem::path exports = folder / "export", record = exports / "made_from.json";
   std::error_code unreadable;
   if (!std::filesystem::is_regular_file(record, unreadable)) return {};
-  std::map<std::string, Json> now;
-  const Json manifest = Workspace::read_manifest(folder);
+  std::map<std::string, Record> now;
+  const Record manifest = Workspace::read_manifest(folder);
   for (const auto& step : manifest.at("steps")) {
     for (const auto& [file, output] : step.at("outputs").items()) now[file] = output.at("sha256");
   }
   // A record that is no longer valid JSON gives no warnings.
-  const Json noted = Json::parse(read_file(record, "record"), nullptr, false);
+  const Record noted = Record::parse(read_file(record, "record"), nullptr, false);
   std::vector<std::string> told;
   for (const auto& [name, made_from] : noted.items()) {
     if (!made_from.is_object() || !std::filesystem::exists(exports / name, unreadable)) continue;

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
@@ -12,7 +11,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// Radius of the surroundings over which differences of the halves are averaged.
 constexpr int radius = 4;
 /// Largest difference at which halves agree, px of parallax.
@@ -59,7 +57,7 @@ Surroundings surroundings(const std::vector<Surroundings>& columns, int u) {
 
 void fill_result(const PassResult& pass, const HalvesDifference& halves, double rate, double focal, const Mask& mask,
                  const SweepOptions& options, const Context& context, SweepResult& result) {
-  result.depth = Image<float>(mask.size(), 1, none);
+  result.depth = Image<float>(mask.size(), 1, no_value);
   result.sigma = result.confidence = result.depth;
   Image<float> kept = result.depth;
   parallel_rows(context, mask.height(), [&](int v) {
@@ -88,7 +86,7 @@ void fill_result(const PassResult& pass, const HalvesDifference& halves, double 
   if (static_cast<double>(found) < least_completeness * object) keep_contours(kept, region_step, mask, context);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
-      if (!std::isfinite(kept(u, v))) result.depth(u, v) = result.sigma(u, v) = result.confidence(u, v) = none;
+      if (!std::isfinite(kept(u, v))) result.depth(u, v) = result.sigma(u, v) = result.confidence(u, v) = no_value;
     }
   });
 

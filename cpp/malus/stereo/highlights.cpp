@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -17,7 +16,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t least_views = 3;
 /// Added to intensities before ratios are formed: darker values depend on how the camera encodes black.
 constexpr float black = 0.02F;
@@ -27,7 +25,7 @@ constexpr float least_excess = 0.12F, least_deviations = 6;
 
 float bilinear(const Image<float>& image, float x, float y) {
   const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
-  if (u < 0 || v < 0 || u + 1 >= image.width() || v + 1 >= image.height()) return none;
+  if (u < 0 || v < 0 || u + 1 >= image.width() || v + 1 >= image.height()) return no_value;
   const float a = x - static_cast<float>(u), b = y - static_cast<float>(v);
   return (1 - b) * ((1 - a) * image(u, v) + a * image(u + 1, v)) +
          b * ((1 - a) * image(u, v + 1) + a * image(u + 1, v + 1));
@@ -45,7 +43,7 @@ float median_on(const Image<float>& values, const Mask& mask) {
 /// the surface. `photo` is at half its size.
 Image<float> log_ratio(const Image<float>& station, const Mask& mask, const ViewProjection& projection,
                        const Image<float>& photo, const Image<float>& log_depth, const Context& context) {
-  Image<float> ratio(mask.size(), 1, none);
+  Image<float> ratio(mask.size(), 1, no_value);
   parallel_rows(context, mask.height(), [&](int v) {
     const auto count = static_cast<std::size_t>(mask.width());
     std::vector<float> z(count), x(count), y(count);
@@ -80,7 +78,7 @@ Mask find_highlights(const Image<float>& reference, const Mask& object, const Vi
                           context);
   });
 
-  Image<float> excess(mask.size(), 1, none);
+  Image<float> excess(mask.size(), 1, no_value);
   parallel_rows(context, mask.height(), [&](int v) {
     std::vector<float> values;
     for (int u = 0; u < mask.width(); ++u) {

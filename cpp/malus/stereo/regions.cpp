@@ -2,7 +2,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <opencv2/imgproc.hpp>
 #include <utility>
 #include <vector>
@@ -15,8 +14,6 @@
 
 namespace malus {
 namespace {
-
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// Number of each pixel's region, and how many there are; a pixel that is not finite is a region of its own.
 std::pair<std::vector<int>, int> regions_of(const Image<float>& values, double largest_step, const Context& context) {
@@ -51,7 +48,7 @@ void remove_small_regions(Image<float>& values, double largest_step, int least_p
   std::vector<int> pixels(static_cast<std::size_t>(count), 0);
   for (const int r : region) ++pixels[static_cast<std::size_t>(r)];
   for (std::size_t i = 0; i < values.count(); ++i) {
-    if (pixels[static_cast<std::size_t>(region[i])] < least_pixels) values[i] = none;
+    if (pixels[static_cast<std::size_t>(region[i])] < least_pixels) values[i] = no_value;
   }
 }
 
@@ -66,7 +63,7 @@ void keep_contours(Image<float>& values, double largest_step, const Mask& mask, 
     if (on_contour(i)) reaches[static_cast<std::size_t>(region[i])] = 1;
   }
   for (std::size_t i = 0; i < values.count(); ++i) {
-    if (!on_contour(i) && reaches[static_cast<std::size_t>(region[i])] != 0) values[i] = none;
+    if (!on_contour(i) && reaches[static_cast<std::size_t>(region[i])] != 0) values[i] = no_value;
   }
 }
 

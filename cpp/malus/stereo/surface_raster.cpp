@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
@@ -9,8 +8,6 @@
 
 namespace malus {
 namespace {
-
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 
 /// The two pixels at offsets (i, j) and (−i, −j) from a center pixel.
 struct OppositePixels {
@@ -55,7 +52,7 @@ void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context
       sum += log_depth(u, v);
       ++count;
     });
-    return count > 0 ? static_cast<float>(sum / count) : none;
+    return count > 0 ? static_cast<float>(sum / count) : no_value;
   };
   std::vector<std::vector<Pixel>> rings(static_cast<std::size_t>(mask.height()));
   parallel_rows(context, mask.height(), [&](int v) {
@@ -84,7 +81,7 @@ void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context
 }
 
 Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context) {
-  Image<float> result(log_depth.size(), 1, none);
+  Image<float> result(log_depth.size(), 1, no_value);
   parallel_rows(context, log_depth.height(), [&](int v) {
     std::vector<float> window;
     for (int u = 0; u < log_depth.width(); ++u) {
@@ -104,7 +101,7 @@ Image<float> median_filtered(const Image<float>& log_depth, int radius, const Co
 }
 
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context) {
-  Image<float> result(log_depth.size(), 1, none);
+  Image<float> result(log_depth.size(), 1, no_value);
   const int radius = std::max(1, static_cast<int>(std::ceil(2 * sigma_px)));
   // Opposite pixels count together or not at all: one side alone would shift an inclined surface.
   std::vector<OppositePixels> pairs;
@@ -135,7 +132,7 @@ Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double lar
 }
 
 Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, const Context& context) {
-  Image<float> result(mask.size(), 1, none);
+  Image<float> result(mask.size(), 1, no_value);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (mask(u, v) == 0) continue;
@@ -155,7 +152,7 @@ Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, con
 }
 
 Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context) {
-  Image<float> result(mask.size(), 1, none);
+  Image<float> result(mask.size(), 1, no_value);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (mask(u, v) == 0) continue;

@@ -2,7 +2,6 @@
 #include <atomic>
 #include <cmath>
 #include <functional>
-#include <limits>
 #include <vector>
 
 #include "malus/core/parallel_internal.h"
@@ -13,7 +12,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 /// With few offsets the tiles are larger: their memory stays about the same, and their margins are a smaller share.
 constexpr int few_offsets = 16, tile_side = 128, tile_side_of_few = 256;
 /// Margin around a tile, px, over which the path costs of semi-global matching settle.
@@ -104,7 +102,7 @@ void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelRec
 PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, const PassSettings& settings,
                     const Context& context) {
   const Size size = level.mask.size();
-  PassResult result{Image<float>(size, 1, none), Image<float>(size, 1, none), Image<float>(size, 1, none)};
+  PassResult result{Image<float>(size, 1, no_value), Image<float>(size, 1, no_value), Image<float>(size, 1, no_value)};
   const int side = 2 * settings.half_count + 1 <= few_offsets ? tile_side_of_few : tile_side;
   std::vector<PixelRect> tiles;
   for (int v = 0; v < size.height; v += side) {

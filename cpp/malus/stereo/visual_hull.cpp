@@ -1,7 +1,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <string>
 
@@ -15,7 +14,6 @@
 namespace malus {
 namespace {
 
-constexpr float none = std::numeric_limits<float>::quiet_NaN();
 constexpr int longest_grid_side = 400;
 constexpr int bisections = 6;
 /// Depths are searched within this many radii of the object about its middle.
@@ -104,7 +102,7 @@ Grid grid_over(const Mask& object) {
 /// Front of the hull of some outlines at the grid's pixels.
 Image<float> front(const std::vector<const Outline*>& outlines, const Grid& grid, const Mask& object, double near,
                    double far, double step, const Context& context) {
-  Image<float> depth(grid.size, 1, none);
+  Image<float> depth(grid.size, 1, no_value);
   parallel_rows(context, grid.size.height, [&](int j) {
     // The outline that excluded the last place most likely excludes the next one, too.
     std::size_t last = 0;
@@ -139,7 +137,7 @@ Image<float> front(const std::vector<const Outline*>& outlines, const Grid& grid
 
 /// Values of the grid at every pixel of the object, bilinear between those that are known; NaN without one nearby.
 Image<float> at_pixels(const Image<float>& values, const Grid& grid, const Mask& object, const Context& context) {
-  Image<float> all(object.size(), 1, none);
+  Image<float> all(object.size(), 1, no_value);
   parallel_rows(context, object.height(), [&](int v) {
     for (int u = 0; u < object.width(); ++u) {
       if (object(u, v) == 0) continue;
@@ -192,7 +190,7 @@ VisualHull visual_hull(const Pinhole& camera, const Pose& pose, const Mask& obje
   const Image<float> first = front(halves[0], grid, object, near, far, step, context);
   const Image<float> second = front(halves[1], grid, object, near, far, step, context);
 
-  Image<float> left(grid.size, 1, none);
+  Image<float> left(grid.size, 1, no_value);
   Mask known(grid.size, 1, 0);
   std::size_t count = 0;
   for (std::size_t i = 0; i < depth.count(); ++i) {
@@ -214,7 +212,7 @@ VisualHull visual_hull(const Pinhole& camera, const Pose& pose, const Mask& obje
     left[i] = static_cast<float>(std::hypot(left[i], step, hollow_radii * ball.radius));
   }
   for (std::size_t i = 0; i < left.count(); ++i)
-    if (known[i] == 0) left[i] = none;
+    if (known[i] == 0) left[i] = no_value;
   return {at_pixels(depth, grid, object, context), at_pixels(left, grid, object, context)};
 }
 

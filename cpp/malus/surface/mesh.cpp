@@ -19,7 +19,7 @@ namespace {
 
 constexpr std::uint8_t cut_right = 1, cut_down = 2;
 
-bool usable(float depth) {
+bool is_depth(float depth) {
   return std::isfinite(depth) && depth > 0;
 }
 
@@ -29,8 +29,8 @@ bool is_step(float before, float here, float there, float after, double focal, c
   const double step = std::abs(static_cast<double>(there) - here);
   if (!(step * focal > options.min_step_gsd * std::min(here, there))) return false;
   double around = 0;
-  if (usable(before)) around = std::abs(static_cast<double>(here) - before);
-  if (usable(after)) around = std::max(around, std::abs(static_cast<double>(after) - there));
+  if (is_depth(before)) around = std::abs(static_cast<double>(here) - before);
+  if (is_depth(after)) around = std::max(around, std::abs(static_cast<double>(after) - there));
   return step > options.step_ratio * around;
 }
 
@@ -45,12 +45,12 @@ class Cuts {
     for (int v = first_row; v < last_row; ++v) {
       for (int u = 0; u < depth.width(); ++u) {
         const float here = depth(u, v);
-        if (!usable(here)) continue;
+        if (!is_depth(here)) continue;
         const float right = at(u + 1, v), down = at(u, v + 1);
         std::uint8_t cut = cut_right | cut_down;
-        if (usable(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
+        if (is_depth(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
           cut &= ~cut_right;
-        if (usable(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
+        if (is_depth(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
           cut &= ~cut_down;
         cuts_(u, v - first_row) = cut;
       }
