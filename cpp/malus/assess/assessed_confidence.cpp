@@ -62,6 +62,14 @@ void limit_by_hull(const DepthPrior& prior, Confidence& confidence) {
                                                  "outlines give: it shows no hollows.");
 }
 
+/// Whether the surface leaves the prior farther than the prior's errors allow cannot be told without these errors.
+void limit_by_assumed_sigma(const DepthPrior& prior, Confidence& confidence) {
+  if (!prior.assumes_sigma) return;
+  confidence.limit(ConfidenceLevel::partial,
+                   "The standard deviation of the coarse surface is assumed, because it is not stated: if the surface "
+                   "is more precise, fusion can make it worse. Give it as sigma in [prior].");
+}
+
 /// Where polarization is not usable nothing is measured, and the surface continues that of the neighborhood.
 void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Context& context) {
   constexpr double nearly_all = 0.9;
@@ -112,6 +120,7 @@ Confidence assessed_confidence(const AssessInput& input, const Context& context)
   if (input.prior != nullptr) {
     limit_by_holes(*input.prior, confidence);
     limit_by_hull(*input.prior, confidence);
+    limit_by_assumed_sigma(*input.prior, confidence);
   }
   if (input.polarization != nullptr) limit_by_gaps(input, confidence, context);
   return confidence;

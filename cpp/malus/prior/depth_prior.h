@@ -24,11 +24,12 @@ struct DepthPrior {
   /// Share of object pixels farther than 2 · spacing from every point; for rasters and photos, the share without a
   /// depth.
   double filled_fraction = 0;
-  double hull_fraction = 0;  ///< share of object pixels whose depth is that of the photos' visual hull
+  double hull_fraction = 0;    ///< share of object pixels whose depth is that of the photos' visual hull
+  bool assumes_sigma = false;  ///< nobody states or measures the standard deviation: it is `raster_sigma_gsd`
 
   // The maps are not listed.
   MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, shares_windows,
-               filled_fraction, hull_fraction)
+               filled_fraction, hull_fraction, assumes_sigma)
 };
 
 /// A depth map that was measured over windows (the surface sweep), unit of the station, camera's size.

@@ -376,6 +376,7 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
   prior.points_total = static_cast<double>(known + elsewhere);
   prior.points_used = static_cast<double>(known);
   prior.spacing_px = 1;
+  prior.assumes_sigma = !options.sigma;
   return prior;
 }
 

@@ -125,6 +125,16 @@ TEST(Quality, APriorThatIsMostlyAVisualHullIsTrustedInPart) {
       << confidence.reasons[0];
 }
 
+TEST(Quality, APriorOfUnknownPrecisionIsTrustedInPart) {
+  Case c;
+  c.prior.sigma.fill(2.0f);
+  c.prior.assumes_sigma = true;
+  const Confidence confidence = assess(c.input, {}, {}).confidence;
+  EXPECT_EQ(confidence.level, ConfidenceLevel::partial);
+  ASSERT_EQ(confidence.reasons.size(), 1u);
+  EXPECT_NE(confidence.reasons[0].find("Give it as sigma in [prior]"), std::string::npos) << confidence.reasons[0];
+}
+
 TEST(Quality, PixelsWithoutPolarizationAreNotTrusted) {
   Case c;
   c.prior.sigma.fill(2.0f);

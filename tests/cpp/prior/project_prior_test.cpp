@@ -526,6 +526,7 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   EXPECT_LT(rms_gsd(prior.depth, plane_depth, in_hole), 0.02);
   EXPECT_GT(prior.filled_fraction, 0);
   EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
+  EXPECT_TRUE(prior.assumes_sigma);
 }
 
 TEST(PriorOfCloud, MayLieExactlyInAPlaneParallelToTheSensor) {

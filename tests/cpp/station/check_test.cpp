@@ -152,15 +152,17 @@ TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
 
 TEST(CheckStation, DoesNotDoubtTheWhiteLevelOfWholeNumbersInMemory) {
   Station station = scaled_station();
-  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
-  Image<float>& numbers = station.images.front();
-  numbers.fill(3000);
+  Image<float> numbers({40, 30}, 1, 3000.0F);
   std::fill_n(numbers.row(0), 120, 4095.0F);
+  station.images.assign(4, numbers);
+  station.file.polarized.angles_deg = {0, 45, 90, 135};
   station.whole_numbers = true;
   station.file.polarized.white_level = 4095;
   std::string all;
-  for (const std::string& warning : check_station(station, {}, {}).warnings) all += warning + "\n";
-  expect_contains(all, "10 % of the object's pixels are saturated");
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& text) { all += text + "\n"; };
+  const Results results = reconstruct(station, Options(), {.until = "polarization"}, context);
+  EXPECT_EQ(results.get<MeasuredPolarization>()->state->valid(0, 0), static_cast<int>(PixelState::saturated));
   EXPECT_EQ(all.find("white_level"), std::string::npos) << all;
 }
 
