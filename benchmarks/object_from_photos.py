@@ -1,6 +1,6 @@
 """A whole object from its photographs alone: stations found among them, their surfaces joined and scored.
 
-    python benchmarks/object_from_photos.py SCENE -o OUT [--masks] [--points 8] [--mark-px 0.3] [--seed 0]
+    python benchmarks/object_from_photos.py SCENE -o OUT [--masks | --turntable] [--points 8] [--mark-px 0.3] [--seed 0]
 
 SCENE: a scene in the round written by rendered/renderer/render.py, with views/, gt_sparse/, gt/mesh.ply and st*/. The stations keep
 their polarized images, masks and lenses; cloud and poses are left out. Control points are vertices of the true mesh. They are marked in
@@ -100,7 +100,7 @@ def write_masks(scene: Path, folder: Path) -> None:
             cv2.imwrite(str(folder / f"{name}.png"), mask)
 
 
-def write_object(scene: Path, folder: Path, tables: str, masks: Path | None) -> Path:
+def write_object(scene: Path, folder: Path, tables: str, masks: Path | None, *, turntable: bool) -> Path:
     """Write the object file beside its station files, which keep only images, mask and lens."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = {name: image.camera for name, image in SparseModel.read(scene / "gt_sparse").images.items()}
@@ -119,7 +119,7 @@ def write_object(scene: Path, folder: Path, tables: str, masks: Path | None) -> 
         names.append(f"{station.parent.name}.toml")
         (folder / names[-1]).write_text(f"{text}[camera]\n{lens}\n\n{photos}")
     (folder / "object.toml").write_text(
-        f'[object]\nname = "{scene.name} from photos"\nunit = "mm"\nstations = {names}\n\n{photos}\n{tables}'
+        f'[object]\nname = "{scene.name} from photos"\nunit = "mm"\nstations = {names}\nturntable = {str(turntable).lower()}\n\n{photos}\n{tables}'
     )
     return folder / "object.toml"
 
@@ -129,15 +129,16 @@ def main() -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--masks", action="store_true", help="give the photos the object's true outlines")
+    parser.add_argument("--turntable", action="store_true", help="as --masks, and nothing counts outside of them")
     parser.add_argument("--points", type=int, default=8)
     parser.add_argument("--mark-px", type=float, default=0.3)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     tables = control_tables(args.scene, args.points, args.mark_px, np.random.default_rng(args.seed))
-    masks = args.output / "masks" if args.masks else None
+    masks = args.output / "masks" if args.masks or args.turntable else None
     if masks is not None:
         write_masks(args.scene, masks)
-    file = write_object(args.scene, args.output / "files", tables, masks)
+    file = write_object(args.scene, args.output / "files", tables, masks, turntable=args.turntable)
     command = [Path(sys.executable).with_name("malus"), "object", file, "-o", args.output / "work", "--jobs", "2"]
     if subprocess.run(command, check=False).returncode not in (0, SOME_STATIONS_FAILED):
         sys.exit(1)
