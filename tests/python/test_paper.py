@@ -31,12 +31,19 @@ from malus.reconstruction import expected_times
 
 
 @pytest.fixture(scope="module")
-def paper_work(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A workspace of the small station by `malus paper`."""
-    work = tmp_path_factory.mktemp("paper") / "work"
-    outcome = run_malus("paper", small_station_source / "station.toml", "-o", work, "--threads", "2", "--quiet")
+def paper_run(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A workspace of the small station by `malus paper`, compared with its own cloud; and the events of the run."""
+    work, cloud = tmp_path_factory.mktemp("paper") / "work", small_station_source / "dense/cloud.ply"
+    outcome = run_malus(
+        "paper", small_station_source / "station.toml", "-o", work, "--reference", cloud, "--threads", "2", "--json"
+    )
     assert outcome.code == 0, outcome.err
-    return work
+    return work, outcome.out
+
+
+@pytest.fixture(scope="module")
+def paper_work(paper_run: tuple[Path, str]) -> Path:
+    return paper_run[0]
 
 
 def test_preset_is_the_method_as_printed() -> None:
@@ -107,20 +114,21 @@ def test_all_curves_of_a_profile_are_in_its_csv_file(paper_work: Path) -> None:
     assert np.abs(np.diff(form, 2)).max() < np.abs(np.diff(section[known], 2)).max(), "what is left is smoother"
 
 
-def test_expected_times_include_the_optimization_and_the_plates(small_station: Path) -> None:
+def test_expected_times_include_the_optimization_and_the_plates(
+    small_station: Path, paper_run: tuple[Path, str]
+) -> None:
     """They once did not: the progress bar stood at 40 % when everything was done."""
     station, paper = malus.Station.load(small_station), malus.Options.preset("paper")
     together = dict(expected_times(station, paper, threads=1))
     paper.optimize.enabled = False
     by_eq_16 = dict(expected_times(station, paper, threads=1))
     assert together["fuse"] > 20 * by_eq_16["fuse"] and together["height"] == by_eq_16["height"]
-    work, cloud = small_station.parent / "work", small_station.parent / "dense/cloud.ply"
-    outcome = run_malus("paper", small_station, "-o", work, "--reference", cloud, "--threads", "2", "--json")
+    work, events = paper_run
     assert "error [GSD]" in (work / "paper/table_1.csv").read_text()
     (row, *_) = csv.DictReader((work / "paper/table_1.csv").read_text().splitlines())
     assert float(row["error [GSD]"]) > 0
     shares: dict[str, float] = {}
-    for line in outcome.out.splitlines():
+    for line in events.splitlines():
         event = json.loads(line)
         if event["event"] == "progress":
             shares[event["step"]] = event["overall"]
