@@ -822,7 +822,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "MALUS_TRACEBACK" in os.environ:
             raise
         code, message = ending_of(error)
-        _print_lines(f"malus: {message}", to=sys.stderr)
+        _print_lines(f"malus: {message}", *(f"  {note}" for note in getattr(error, "__notes__", ())), to=sys.stderr)
         return code
     return 0
 

@@ -816,6 +816,24 @@ def test_a_turntable_has_photos(pair: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_an_error_of_the_search_for_cameras_has_the_warnings_before_it(
+    turning: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That most photos had nothing in common was kept for a report that was never written."""
+
+    def find(*_: Any, log: Callable[[str, str], None], **__: Any) -> dict[str, StationCameras]:
+        log("warning", "2.png: nothing in common with the other photos")
+        log("info", "matched")
+        raise DataError("no point is marked in two photos")
+
+    monkeypatch.setattr(object_run, "find_object_cameras", find)
+    monkeypatch.setattr(object_run, "unpolarized_scene", lambda *_: (np.ones((160, 200), np.float32), None))
+    monkeypatch.setattr(object_run, "_begin", lambda *_: None)
+    outcome = malus_here("object", turning, "-o", turning.parent / "out", "--threads", "1", "--quiet")
+    assert outcome.code == 3 and "malus: no point is marked" in outcome.err
+    assert "  warning before it: 2.png: nothing in common" in outcome.err and "matched" not in outcome.err
+
+
 def test_check_says_which_masks_a_turntable_lacks(turning: Path) -> None:
     (turning.parent / "masks/1.png").unlink()
     outcome = malus_here("check", turning, "--threads", "1")

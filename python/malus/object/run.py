@@ -119,7 +119,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
     """Find all stations among the object's photos, and write each station's cameras for its own run.
 
     For a station that fails or cannot be placed, the error is written instead, and the station's own run ends with this error. Stages
-    whose inputs did not change are not repeated.
+    whose inputs did not change are not repeated. An error that ends the search has the warnings before it as notes.
     """
     assert thing.shared is not None
     folder, options = output / "photogrammetry", thing.campaign.options
@@ -144,11 +144,17 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
                 save_failure(Path(task.cameras), error)
         if not views:
             return Frame(kept, {}, warnings)
-        found = find_object_cameras(
-            thing.shared, views, folder, outlines=outlines if thing.turntable else None, options=options, threads=threads,
-            log=lambda level, text: warnings.append(text) if level == "warning" else None,
-            progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
-        )  # fmt: skip
+        try:
+            found = find_object_cameras(
+                thing.shared, views, folder, outlines=outlines if thing.turntable else None, options=options, threads=threads,
+                log=lambda level, text: warnings.append(text) if level == "warning" else None,
+                progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
+            )  # fmt: skip
+        except MalusError as error:
+            # They often say why, and no report will show them.
+            for warning in warnings:
+                error.add_note(f"warning before it: {warning}")
+            raise
         for task in tasks:
             if task.identifier in found:
                 cameras = replace(found[task.identifier], warnings=list(warnings))
