@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <numeric>
 
 #include "malus/polarization/frame_calibration_internal.h"
@@ -55,6 +56,35 @@ TEST(PolarizerFit, KeepsCorrectAngles) {
     EXPECT_NEAR(found.angles_rad[k], nominal_deg[k] * degree_rad, 0.05 * degree_rad);
     EXPECT_NEAR(found.gains[k], 1, 1e-3);
   }
+}
+
+TEST(PolarizerFit, NoiseThatRegistrationSmoothedInSomeImagesIsNotTakenForAngles) {
+  PolarizerScene scene;
+  for (int v = 0; v < scene.size.height; ++v) {
+    for (int u = 0; u < scene.size.width; ++u) {
+      const float weak = 0.1F * 0.8F / scene.stokes(u, v, 0);
+      scene.stokes(u, v, 0) = 0.8F;
+      for (int c = 1; c < 3; ++c) scene.stokes(u, v, c) *= weak;
+    }
+  }
+  NoiseModel single_frame = low_noise;
+  single_frame.frames_averaged = 1;
+  std::vector<Image<float>> images = scene.images(radians(nominal_deg), std::vector<double>(6, 1.0), single_frame);
+  // All but the first are interpolated at half pixels, as those that moved against it.
+  for (std::size_t k = 1; k < images.size(); ++k) {
+    for (int v = 0; v + 1 < scene.size.height; ++v) {
+      for (int u = 0; u + 1 < scene.size.width; ++u) {
+        const Image<float>& image = images[k];
+        images[k](u, v) = (image(u, v) + image(u + 1, v) + image(u, v + 1) + image(u + 1, v + 1)) / 4;
+      }
+    }
+  }
+  Mask small(scene.size);
+  for (int v = 80; v < 184; ++v) std::fill_n(small.row(v) + 80, 104, std::uint8_t{255});
+  const PolarizerFit found =
+      fit_polarizer(images, radians(nominal_deg), single_frame, small, {}, PolarizerOptions{}, Context{});
+  EXPECT_LT(found.largest_angle_change_rad, 5 * degree_rad);
+  EXPECT_LT(found.improvement(), 0.25);
 }
 
 TEST(PolarizerFit, FindsCompletelyUnknownAngles) {
