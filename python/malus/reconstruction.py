@@ -264,7 +264,8 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
         "images": [
             hashlib.sha256(images[name].tobytes()).hexdigest() for name in ("unpolarized", "degree", "phase_rad")
         ],
-        "optics": [description["refractive_index"], description["reflection"]],
+        "noise": [description[name] for name in ("frames_averaged", "full_well_e", "read_noise_e")],
+        "optics": [description[name] for name in ("refractive_index", "reflection", "light")],
         "labels": None if label is None else hashlib.sha256(Path(label).read_bytes()).hexdigest(),
         "options": {name: value for name, value in settings.items() if name not in ("assess", "surface")},
     }
