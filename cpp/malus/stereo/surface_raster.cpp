@@ -2,6 +2,7 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/simd_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
@@ -92,9 +93,7 @@ Image<float> median_filtered(const Image<float>& log_depth, int radius, const Co
           if (std::isfinite(log_depth(i, j))) window.push_back(log_depth(i, j));
         }
       }
-      const auto middle = window.begin() + static_cast<std::ptrdiff_t>(window.size() / 2);
-      std::nth_element(window.begin(), middle, window.end());
-      result(u, v) = *middle;
+      result(u, v) = median_in_place(window);
     }
   });
   return result;
