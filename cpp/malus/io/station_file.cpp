@@ -2,10 +2,10 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <numbers>
 #include <set>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/io/angles_of_names_internal.h"
@@ -436,7 +436,7 @@ LensCamera read_lens(const TomlTable& table) {
 /// Photogrammetric rotation M = R3(κ) R2(φ) R1(ω), world to image (x right, y up, z towards the viewer).
 Eigen::Matrix3d rotation_from_omega_phi_kappa(const std::array<double, 3>& angles_deg) {
   const auto axis_rotation = [](double angle_deg, const Eigen::Vector3d& axis) {
-    return Eigen::AngleAxisd(-angle_deg * std::numbers::pi / 180, axis).toRotationMatrix();
+    return Eigen::AngleAxisd(to_radians(-angle_deg), axis).toRotationMatrix();
   };
   return axis_rotation(angles_deg[2], Eigen::Vector3d::UnitZ()) *
          axis_rotation(angles_deg[1], Eigen::Vector3d::UnitY()) *

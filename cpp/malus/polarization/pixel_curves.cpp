@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <numbers>
 #include <sstream>
+
+#include "malus/core/degrees_internal.h"
 
 namespace malus {
 namespace {
@@ -51,7 +52,7 @@ std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::
   for (const std::size_t pixel : shown) {
     PixelCurve curve{static_cast<int>(pixel % width), static_cast<int>(pixel / width), {}, {}};
     for (std::size_t k = 0; k < images.size(); ++k) {
-      curve.angles_deg.push_back(angles_rad[k] * 180 / std::numbers::pi);
+      curve.angles_deg.push_back(to_degrees(angles_rad[k]));
       curve.intensities.push_back(images[k][pixel]);
     }
     curves.push_back(std::move(curve));
