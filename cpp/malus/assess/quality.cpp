@@ -131,7 +131,7 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
   /// Median and 95th percentile of the object's valid pixels.
   const auto middle_and_p95 = [&](const Image<float>& map) {
     const auto value = [&](std::size_t i) {
-      const bool counts_in = is_object(input, i) && state.valid[i] == static_cast<std::uint8_t>(PixelState::valid);
+      const bool counts_in = is_object(input, i) && has_state(state.valid[i], PixelState::valid);
       return counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
     };
     return percentiles({map.count(), value, context}, 1, {0.5, 0.95});

@@ -30,13 +30,10 @@ struct Outline {
 };
 
 Outline find_outline(const PolarizationState& state) {
-  cv::Mat1b object(state.size().height, state.size().width, std::uint8_t{0}), filled = object.clone();
-  for (int v = 0; v < object.rows; ++v) {
-    for (int u = 0; u < object.cols; ++u)
-      object(v, u) = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside) ? 255 : 0;
-  }
+  const Mask object = state.object();
+  cv::Mat1b filled(object.height(), object.width(), std::uint8_t{0});
   std::vector<std::vector<cv::Point>> outlines;
-  cv::findContours(object, outlines, cv::RETR_EXTERNAL, cv::CHAIN_APPROX_NONE);
+  cv::findContours(as_mat(object), outlines, cv::RETR_EXTERNAL, cv::CHAIN_APPROX_NONE);
   cv::drawContours(filled, outlines, -1, cv::Scalar(255), cv::FILLED);
   Outline outline;
   if (cv::countNonZero(filled) == static_cast<int>(filled.total())) return outline;

@@ -13,7 +13,7 @@ namespace {
 std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
   constexpr double ranks[] = {0.1, 0.5, 0.9, 0.99};
   constexpr std::size_t most_candidates = 100'000, fewest_candidates = 2'000;
-  const auto is_valid = [](std::uint8_t pixel) { return pixel == static_cast<std::uint8_t>(PixelState::valid); };
+  const auto is_valid = [](std::uint8_t pixel) { return has_state(pixel, PixelState::valid); };
   std::vector<std::size_t> valid;
   // Of a small object in a large image, the image's stride would meet few pixels or none.
   const auto all = static_cast<std::size_t>(std::count_if(state.valid.begin(), state.valid.end(), is_valid));

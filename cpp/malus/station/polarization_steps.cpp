@@ -132,8 +132,8 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
 std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
-    object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
-    misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+    object_pixels += !has_state(pixel, PixelState::outside);
+    misfit_pixels += has_state(pixel, PixelState::misfit);
   }
   const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return std::nullopt;
