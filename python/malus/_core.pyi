@@ -16,6 +16,7 @@ version: str
 refined_nowhere: float
 refined_everywhere: float
 least_silhouettes: int
+length_units: dict[str, float]
 
 def option_schema() -> str: ...
 def default_options() -> str: ...

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._files import natural, read_regular, require_utf8, resolved, write_text
+from malus.capture import BAYER_PATTERNS
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
 from malus.raw import is_raw
 from malus.units import METERS
 
 _IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
-_BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _FILE_COLUMNS = ("image", "file", "filename", "name")
 _ANGLE_COLUMNS = ("angle_deg", "angle", "polarizer_angle", "polarizer")
 _EXPOSURE_COLUMNS = ("exposure_s", "exposure", "exposure_time")
@@ -77,8 +77,8 @@ def import_station(
     folder, output = Path(folder), Path(output)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder, expected one with polarized images")
-    if colors is not None and (mosaic is None or colors not in _BAYER):
-        raise InputError(f"--colors {colors}, expected one of {', '.join(_BAYER)}, with --mosaic")
+    if colors is not None and (mosaic is None or colors not in BAYER_PATTERNS):
+        raise InputError(f"--colors {colors}, expected one of {', '.join(BAYER_PATTERNS)}, with --mosaic")
     if (metashape is None) != (label is None):
         raise InputError(
             "--metashape and --label go together: the project's cameras, and which one of them is the station's"
