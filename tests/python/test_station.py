@@ -14,6 +14,7 @@ from PIL import Image
 
 import malus
 from malus import _core, reconstruction
+from malus.station import OpticsValues, PolarizedValues, ProfileValues
 
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
@@ -98,6 +99,16 @@ def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
         **WORDS, **changes,
     }  # fmt: skip
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
+
+
+def test_types_for_editors_have_every_field_of_the_library(pictures: list[np.ndarray]) -> None:
+    described = in_memory(pictures).describe()
+    typed = PolarizedValues.__annotations__.keys() | OpticsValues.__annotations__.keys()
+    given_otherwise = {"images", "angles_deg", "mask", "label_image"}
+    others = {"name", "unit", "image_count", "object", "prior", "prior_scale", "files", "camera"}
+    others |= {"control", "control_image", "patches", "profiles", "scale"}
+    assert typed == described.keys() - given_otherwise - others
+    assert ProfileValues.__annotations__.keys() == described["profiles"][0].keys()
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
