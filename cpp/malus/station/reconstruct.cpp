@@ -86,7 +86,7 @@ void forget_step(const std::filesystem::path& folder, const std::string& name) {
 }
 
 void record_step(const std::filesystem::path& folder, const std::string& name, const std::vector<std::string>& files,
-                 double seconds, const Context& context) {
+                 const std::string& times_json, const Context& context) {
   const std::vector<Step>& table = step_table();
   const auto step = std::ranges::find(table, name, &Step::name);
   if (step == table.end()) throw input_error("step " + name + " does not exist");
@@ -98,7 +98,7 @@ void record_step(const std::filesystem::path& folder, const std::string& name, c
   }
   record.key = sha256_of_bytes(Json(record.after).dump());
   record.outputs = workspace.examine(files, context);
-  workspace.finish(name, std::move(record), {{"seconds", seconds}});
+  workspace.finish(name, std::move(record), Json::parse(times_json));
 }
 
 }  // namespace malus
