@@ -42,6 +42,8 @@ void bind_io(py::module_& module) {
   py::dict meters;
   for (const LengthUnit& unit : length_units) meters[py::str(std::string(unit.name))] = unit.metres;
   module.attr("length_units") = meters;
+  module.attr("image_suffixes") = image_suffixes;
+  module.attr("raw_suffixes") = raw_suffixes;
   module.def(
       "read_raster",
       [](const std::string& path) {

@@ -17,6 +17,8 @@ refined_nowhere: float
 refined_everywhere: float
 least_silhouettes: int
 length_units: dict[str, float]
+image_suffixes: list[str]
+raw_suffixes: list[str]
 
 def option_schema() -> str: ...
 def default_options() -> str: ...
