@@ -4,6 +4,7 @@
 
 #include "malus/io/input_file_internal.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/step_runner_internal.h"
 
@@ -59,6 +60,8 @@ Results reconstruct(const Station& station, const Options& options, const RunOpt
   if (run.until) require_step(*run.until);
   std::vector<const Step*> steps = steps_of_run(step_table(), station, options, run.until);
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);
+  if (std::ranges::any_of(steps, [](const Step* step) { return step->makes_type(typeid(DepthPrior)); }))
+    require_camera(station.file);
   return StepRunner(step_table(), std::move(steps), station, options, run, context).run();
 }
 

@@ -26,14 +26,6 @@
 namespace malus {
 namespace {
 
-/// The camera of the station. Throws an error that names what is missing.
-const CameraSpec& require_camera(const StationFile& file) {
-  if (file.camera) return *file.camera;
-  throw input_error(
-      file.path.string() +
-      ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
-}
-
 /// Map of the pixels where points of a cloud are seen, and whether the points lie on the prior's surface.
 Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
   constexpr double tolerance_gsd = 3, tolerance_sigma = 3;
