@@ -26,6 +26,7 @@ from rendered_files import BORDER_PX, lowpass
 from scipy import ndimage
 
 import malus
+from malus._robust import robust_spread
 
 WHITE, FULL_WELL_E, READ_NOISE_E, FRAMES = 16383, 20000, 8, 16
 ANGLES_DEG = np.arange(0, 180, 30)
@@ -68,7 +69,7 @@ def detail_mad(scene: Path, work: Path) -> float:
     gsd = json.loads((work / "quality.json").read_text())["gsd"]
     error = np.where(mask, depth - truth["depth"], 0)
     detail = (error - lowpass(error, mask))[mask]
-    return float(1.4826 * np.median(np.abs(detail)) / gsd)
+    return robust_spread(detail) / gsd
 
 
 def run(station: Path, work: Path, args: argparse.Namespace) -> dict[str, object]:

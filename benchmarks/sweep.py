@@ -28,6 +28,7 @@ from rendered_files import BORDER_PX, lowpass
 from scipy import ndimage
 
 import malus
+from malus._robust import robust_spread
 
 Array = NDArray[np.floating]
 
@@ -148,7 +149,7 @@ def figures(scene: Scene, depth: Array, sigma: Array | None = None) -> dict[str,
         "bias_gsd": np.median(error[ok]),
         "over_1_gsd": (np.abs(error[ok]) > 1).mean(),
         "detail_rmse_gsd": np.sqrt((detail**2).mean()),
-        "detail_mad_gsd": 1.4826 * np.median(np.abs(detail)),
+        "detail_mad_gsd": robust_spread(detail),
     }
     if sigma is not None:
         s = sigma[ok] / scene.gsd

@@ -186,7 +186,7 @@ class Instrumented:
         fixed, free = [], []
         for part in split_at_commas(body):
             name, value = (side.strip() for side in part.split("=", 1))
-            words = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"std::numbers::\w+|\d[\w.]*", "", value)))
+            words = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"std::numbers::\w+|to_radians|\d[\w.]*", "", value)))
             key = self.key(name)
             left = LEFT.get(f"{self.name}:{name}", LEFT.get(name, ""))
             if "numeric_limits" in value:

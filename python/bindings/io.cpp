@@ -6,6 +6,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
@@ -38,6 +39,11 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
 }  // namespace
 
 void bind_io(py::module_& module) {
+  py::dict meters;
+  for (const LengthUnit& unit : length_units) meters[py::str(std::string(unit.name))] = unit.metres;
+  module.attr("length_units") = meters;
+  module.attr("image_suffixes") = image_suffixes;
+  module.attr("raw_suffixes") = raw_suffixes;
   module.def(
       "read_raster",
       [](const std::string& path) {

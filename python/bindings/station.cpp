@@ -229,7 +229,7 @@ void bind_workspace(py::module_& module) {
   });
   module.def("record_step",
              [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
-                double seconds) { record_step(folder, step, files, seconds, {}); });
+                const std::string& times) { record_step(folder, step, files, times, {}); });
 }
 
 void bind_check(py::module_& module) {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,10 @@ from malus._arrays import as_image, as_shares, require_noise, unmasked
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
+
+#: Color filters of a color camera's 2×2 cells, by rows.
+BayerPattern: TypeAlias = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+BAYER_PATTERNS: tuple[str, ...] = get_args(BayerPattern)
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,8 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
     image = as_image(mosaic, "mosaic")
     if colors is None:
         return _core.demosaic(image, threads)
-    if colors not in ("RGGB", "BGGR", "GRBG", "GBRG"):
-        raise ValueError(f'colors = {colors!r}, expected "RGGB", "BGGR", "GRBG" or "GBRG"')
+    if colors not in BAYER_PATTERNS:
+        raise ValueError(f"colors = {colors!r}, expected one of {', '.join(BAYER_PATTERNS)}")
     channels, ratios = _core.demosaic_color(image, colors, threads)
     factors = np.stack(ratios, axis=-1)
     return [channel[..., None] * factors for channel in channels]

@@ -9,17 +9,22 @@ from malus.columns import aligned, decimals, number
 from malus.units import METERS
 
 
+def _suitable(meters: float) -> tuple[float, str]:
+    """The unit for a length of this size: how many of it make a meter, and its name."""
+    return next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(meters) * f < 1000), (1.0, "m"))
+
+
 def shown(length: float, unit: str, digits: int = 2) -> str:
     """A length given in the station's unit, as text in µm, mm or m, whichever suits its size: 60 µm, 1.2 mm."""
     meters = length * METERS[unit]
-    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if abs(meters) * f < 1000), (1.0, "m"))
+    factor, name = _suitable(meters)
     return f"{number(meters * factor, digits)} {name}"
 
 
 def sides(lengths: Sequence[float], unit: str) -> str:
     """Side lengths given in the station's unit, as text in the one unit that suits the longest: 31 × 12.5 mm."""
     meters = [length * METERS[unit] for length in lengths]
-    factor, name = next(((f, n) for f, n in ((1e6, "µm"), (1e3, "mm")) if max(meters) * f < 1000), (1.0, "m"))
+    factor, name = _suitable(max(meters))
     values = [length * factor for length in meters]
     places = decimals([max(values)])
     return f"{' × '.join(aligned(value, places) for value in values)} {name}"

@@ -146,7 +146,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     py4dgeo()  # fail before anything is read if the package is missing
     if radius is not None and not radius > 0:
         raise InputError(f"radius {radius}, expected a positive length")
-    workspace = Workspace(work)
+    watch, workspace = _core.StepWatch(), Workspace(work)
     gsd = float(workspace.quality["gsd"])
     scan = _core.read_points(str(reference))
     grid = _aligned(workspace.points(), workspace.quality["reference"])
@@ -184,7 +184,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         "pixels_per_core_point": step * step,
         **_summary(found, detectable, gsd),
     }
-    with workspace.recording("m3c2") as files:
+    with workspace.recording("m3c2", watch) as files:
         files += ["fused/m3c2_distance.tif", "m3c2.json"]
         _core.write_float_tiff(str(workspace.folder / files[0]), spread_out(found, step, known))
         write_text(workspace.folder / files[1], json.dumps(figures, indent=2) + "\n")

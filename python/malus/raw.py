@@ -19,11 +19,9 @@ from malus._files import replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
-#: Suffixes that the C++ library takes for RAW files, too (io/image_file_internal.h, is_raw_name).
-SUFFIXES = frozenset(
-    (".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".sr2")
-    + (".srw",)
-)
+#: Suffixes of cameras' RAW files, and of other images, in small letters.
+SUFFIXES = frozenset(_core.raw_suffixes)
+IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 1"

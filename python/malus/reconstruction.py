@@ -264,7 +264,8 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
         "images": [
             hashlib.sha256(images[name].tobytes()).hexdigest() for name in ("unpolarized", "degree", "phase_rad")
         ],
-        "optics": [description["refractive_index"], description["reflection"]],
+        "noise": [description[name] for name in ("frames_averaged", "full_well_e", "read_noise_e")],
+        "optics": [description[name] for name in ("refractive_index", "reflection", "light")],
         "labels": None if label is None else hashlib.sha256(Path(label).read_bytes()).hexdigest(),
         "options": {name: value for name, value in settings.items() if name not in ("assess", "surface")},
     }
@@ -296,8 +297,9 @@ def expected_times(
     width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
     if _needs_photos(station, until):
         planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
-        # The second sweep needs a surface fused with the first one: all steps after polarization run once in between.
-        between = sum(seconds for step, seconds in times[1:] if step not in ("mesh", "assess"))
+        # The second sweep needs a surface fused with the first one: the steps from polarization to fusion run once in between.
+        fusing = _core.expected_times(station._core, settings.to_json(), "fuse", size, threads)[1:]
+        between = sum(seconds for _, seconds in fusing)
         swept = planned.sweeping.seconds + (between if settings.sweep.again else 0.0)
         found = [] if cameras_known else [("photos", planned.finding.seconds)]
         times = [*times[:1], *found, ("sweep", swept), *times[1:]]

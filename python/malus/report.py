@@ -212,6 +212,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
     """Write the report in the workspace, and the page alone as the file `alone`, if it is given; returns this page's path, else that of
     the report.
     """
+    watch = _core.StepWatch()
     quality, manifest = workspace.quality, workspace.manifest
     plates = Plates(workspace)
     steps = [step for step in STEPS if step in manifest["steps"] and step != "report"]
@@ -257,7 +258,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
         version=_core.version,
     )
     page = render(has_files=True)
-    with workspace.recording("report") as files:
+    with workspace.recording("report", watch) as files:
         for figure in (figure for group in figures.values() for figure in group):
             name = f"report/figures/{figure.name}"
             files += [f"{name}.png", f"{name}.csv"]

@@ -16,6 +16,7 @@ from malus import _core
 from malus._arrays import as_image, as_images, as_mask, as_rows, require_shares
 from malus._files import require_utf8
 from malus.camera import Camera
+from malus.capture import BayerPattern
 from malus.errors import InputError
 
 
@@ -25,7 +26,7 @@ class PolarizedValues(TypedDict, total=False):
     angle_direction: Literal["ccw", "cw"]
     angle_zero_deg: float
     mosaic: Sequence[Sequence[float]]
-    mosaic_colors: Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+    mosaic_colors: BayerPattern
     exposure_s: Sequence[float]
     channel: Literal["luminance", "red", "green", "blue", "mean"]
     channel_weights: Sequence[float]

@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._files import natural, read_regular, require_utf8, resolved, write_text
+from malus.capture import BAYER_PATTERNS
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
-from malus.raw import is_raw
+from malus.raw import IMAGE_SUFFIXES, is_raw
 from malus.units import METERS
 
-_IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
-_BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _FILE_COLUMNS = ("image", "file", "filename", "name")
 _ANGLE_COLUMNS = ("angle_deg", "angle", "polarizer_angle", "polarizer")
 _EXPOSURE_COLUMNS = ("exposure_s", "exposure", "exposure_time")
@@ -77,8 +76,8 @@ def import_station(
     folder, output = Path(folder), Path(output)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder, expected one with polarized images")
-    if colors is not None and (mosaic is None or colors not in _BAYER):
-        raise InputError(f"--colors {colors}, expected one of {', '.join(_BAYER)}, with --mosaic")
+    if colors is not None and (mosaic is None or colors not in BAYER_PATTERNS):
+        raise InputError(f"--colors {colors}, expected one of {', '.join(BAYER_PATTERNS)}, with --mosaic")
     if (metashape is None) != (label is None):
         raise InputError(
             "--metashape and --label go together: the project's cameras, and which one of them is the station's"
@@ -181,7 +180,7 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
     """The folder's RAW files, or, without RAW files, its other images except the mask, in natural order; InputError for none."""
     files = [path for path in _visible(folder) if path.is_file() and path != mask]
     raw = [path for path in files if is_raw(path)]
-    images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
+    images = raw or [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES]
     if not images:
         kinds = sorted({path.suffix for path in files if path.suffix})
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
@@ -357,9 +356,9 @@ def _image_of_sidecar(content: dict[str, Any], path: Path) -> Path:
         if not image.is_file():
             raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
     else:
-        candidates = [path.with_suffix(suffix) for suffix in sorted(_IMAGES)]
+        candidates = [path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES)]
         image = next((candidate for candidate in candidates if candidate.is_file()), path)
-    if image.suffix.lower() not in _IMAGES and not is_raw(image):
+    if image.suffix.lower() not in IMAGE_SUFFIXES and not is_raw(image):
         raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
     return image
 

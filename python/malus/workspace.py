@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from time import monotonic
 from typing import Any, Protocol
 
 import numpy as np
@@ -134,12 +133,12 @@ class Workspace:
         return content
 
     @contextmanager
-    def recording(self, step: str) -> Iterator[list[str]]:
+    def recording(self, step: str, watch: _core.StepWatch | None = None) -> Iterator[list[str]]:
         """Record a step that Python runs. Files of an earlier run of the step are removed; the caller names its new files in the
         list, which are recorded at the end. On failure the new files are removed. It is a failure (InputError), too, if another
-        run has meanwhile changed the results from which they were made.
+        run has meanwhile changed the results from which they were made. watch: measures the step from an earlier time on.
         """
-        start = monotonic()
+        watch = watch or _core.StepWatch()
         _core.forget_step(str(self.folder), step)
         made_from = {
             name: record["key"]
@@ -152,7 +151,7 @@ class Workspace:
             steps = json.loads(_core.read_manifest(str(self.folder)))["steps"]
             if {name: record["key"] for name, record in steps.items()} != made_from:
                 raise InputError(f"{self.folder}: was changed by another run meanwhile; run again")
-            _core.record_step(str(self.folder), step, files, monotonic() - start)
+            _core.record_step(str(self.folder), step, files, watch.stop())
         except BaseException:
             for name in files:
                 (self.folder / name).unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from conftest import LONGEST_FIRST
+from malus.units import METERS
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 80
@@ -107,6 +108,34 @@ def test_modules_do_not_import_each_other_in_circles() -> None:
     assert not circles(modules)
     assert not circles(scripts)
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}) == ["b", "c"]
+
+
+#: Sources that call OpenCV without an OpenCvThreads of their own, and why.
+OPENCV_THREADS_OF_OTHERS = {
+    "capture/contrast_band.cpp": "held by registration.cpp",
+    "evidence/reduced_view.cpp": "held by prior_alignment.cpp",
+    "evidence/smoothing.cpp": "held by prior_alignment.cpp",
+    "io/resection.cpp": "few points, on the calling thread",
+    "photogrammetry/model_refinement.cpp": "a search tree, on the calling thread",
+    "prior/smoothing_spline.cpp": "held by project_prior.cpp",
+}
+
+
+def test_opencv_takes_as_many_threads_as_the_context_says() -> None:
+    folder = ROOT / "cpp/malus"
+    without = set()
+    for file in folder.rglob("*.cpp"):
+        text = file.read_text(encoding="utf-8")
+        if "#include <opencv2/" in text and not re.search(r"\bOpenCvThreads \w+\(", text):
+            without.add(file.relative_to(folder).as_posix())
+    assert without == OPENCV_THREADS_OF_OTHERS.keys()
+
+
+def test_units_of_the_studio_are_those_of_the_library() -> None:
+    script = (ROOT / "python/malus/studio/static/api.js").read_text(encoding="utf-8")
+    stated = re.search(r"METERS = \{(.*?)\}", script)
+    assert stated is not None
+    assert {name: float(size) for name, size in re.findall(r"(\w+): ([\d.e-]+)", stated[1])} == METERS
 
 
 def test_files_listed_to_run_first_exist() -> None:

@@ -33,6 +33,7 @@ from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap
+from malus.reconstruction import expected_times
 from malus.workspace import STEPS
 
 #: A stand-in for `colmap` that behaves as the environment variable FAKE says, and logs the commands it is given.
@@ -204,6 +205,21 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     assert outcome.code == 0, outcome
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
         assert words in outcome.out, words
+    assert not fake_colmap.exists()
+
+
+def test_the_fusion_between_two_sweeps_is_expected_without_zenith_and_height(
+    photo_station: Path, fake_colmap: Path
+) -> None:
+    station = package.Station.load(photo_station)
+
+    def seconds(until: str | None = None, **options: Any) -> dict[str, float]:
+        return dict(expected_times(station, package.Options(**options), until=until, threads=1))
+
+    twice, once = seconds(), seconds(sweep={"again": False})
+    fusing = sum(twice[step] for step in ("prior", "polarizer", "evidence", "fuse"))
+    assert twice["sweep"] - once["sweep"] == pytest.approx(fusing)
+    assert seconds("prior")["sweep"] == twice["sweep"], "a run that ends with the prior sweeps twice, too"
     assert not fake_colmap.exists()
 
 

@@ -76,6 +76,16 @@ def test_workspace_is_complete(finished: Path) -> None:
     assert not half_written(finished)
 
 
+def test_time_and_memory_of_every_step_are_recorded(finished: Path) -> None:
+    """Of the report, too, which Python makes from the finished workspace."""
+    times = malus.Workspace(finished).manifest["times"]
+    steps = malus.Workspace(finished).manifest["steps"]
+    assert "report" in steps
+    for step in steps:
+        assert times[step].keys() >= {"seconds", "cpu_seconds", "peak_mb"}, step
+    assert times["report"]["cpu_seconds"] > 0.1 and times["report"]["seconds"] > 0.1, "figures included"
+
+
 def test_normals_are_unit_and_face_the_camera(finished: Path) -> None:
     normals = tifffile.imread(finished / "fused/normals.tif")
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)

@@ -617,7 +617,7 @@ def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
 
 def test_a_step_that_does_not_exist_is_not_recorded(tmp_path: Path) -> None:
     with pytest.raises(malus.InputError, match="step nothing does not exist"):
-        _core.record_step(str(tmp_path), "nothing", [], 0.0)
+        _core.record_step(str(tmp_path), "nothing", [], "{}")
     assert not list(tmp_path.iterdir())
 
 

@@ -13,7 +13,8 @@ import tifffile
 from PIL import Image
 
 import malus
-from malus import _core
+from malus import _core, reconstruction
+from malus.station import OpticsValues, PolarizedValues, ProfileValues
 
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
@@ -98,6 +99,16 @@ def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
         **WORDS, **changes,
     }  # fmt: skip
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
+
+
+def test_types_for_editors_have_every_field_of_the_library(pictures: list[np.ndarray]) -> None:
+    described = in_memory(pictures).describe()
+    typed = PolarizedValues.__annotations__.keys() | OpticsValues.__annotations__.keys()
+    given_otherwise = {"images", "angles_deg", "mask", "label_image"}
+    others = {"name", "unit", "image_count", "object", "prior", "prior_scale", "files", "camera"}
+    others |= {"control", "control_image", "patches", "profiles", "scale"}
+    assert typed == described.keys() - given_otherwise - others
+    assert ProfileValues.__annotations__.keys() == described["profiles"][0].keys()
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
@@ -225,6 +236,28 @@ def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> 
     station = in_memory(pictures, prior_points=points, scale=[bar])
     found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
     assert np.nanmedian(found.prior_depth) == pytest.approx(200, rel=1e-3)
+
+
+def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: list[np.ndarray]) -> None:
+    zeros = {name: np.zeros(SIZE, np.float32) for name in ("unpolarized", "degree", "phase_rad")}
+
+    def inputs(maps: Any = zeros, options: malus.Options | None = None, **changes: Any) -> dict[str, Any]:
+        return reconstruction._fused_of(in_memory(pictures, **changes).describe(), maps, options or malus.Options())
+
+    before = inputs()
+    assert before == inputs(name="another", options=malus.Options(assess={"polarization_height": False}))
+    changed = [
+        inputs(frames_averaged=9),
+        inputs(full_well_e=9000.0),
+        inputs(read_noise_e=3.0),
+        inputs(refractive_index=1.4),
+        inputs(reflection="specular"),
+        inputs(optics={"light": [0.3, 0.2, -1.0]}),
+        inputs(maps={**zeros, "degree": np.ones(SIZE, np.float32)}),
+        inputs(options=malus.Options(refine={"prior_weight": 2.0})),
+    ]
+    assert all(changed.count(one) == 1 for one in changed)
+    assert before not in changed
 
 
 def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:

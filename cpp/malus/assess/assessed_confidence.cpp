@@ -86,7 +86,7 @@ void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Conte
 bool is_object(const AssessInput& input, std::size_t pixel) {
   if (input.object != nullptr) return (*input.object)[pixel] != 0;
   if (input.polarization != nullptr) {
-    return input.polarization->valid[pixel] != static_cast<std::uint8_t>(PixelState::outside);
+    return !has_state(input.polarization->valid[pixel], PixelState::outside);
   }
   return std::isfinite(input.surface->depth[pixel]) ||
          (input.prior != nullptr && std::isfinite(input.prior->depth[pixel]));
@@ -96,7 +96,7 @@ double usable_share(const AssessInput& input, const Context& context) {
   const Mask& state = input.polarization->valid;
   const auto [valid, object] = sum_pixels<2>(state.count(), context, [&](std::size_t i, Sums<2>& sums) {
     if (!is_object(input, i)) return;
-    sums[0] += state[i] == static_cast<std::uint8_t>(PixelState::valid);
+    sums[0] += has_state(state[i], PixelState::valid);
     sums[1] += 1;
   });
   return fraction_of(valid, object);

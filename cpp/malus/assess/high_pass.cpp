@@ -5,6 +5,7 @@
 #include "malus/assess/high_pass_internal.h"
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -23,6 +24,7 @@ Image<float> high_pass(Image<float> values, double sigma_px, const Context& cont
       known(u, v, 1) = is_known ? 1 : 0;
     }
   });
+  const OpenCvThreads one_thread(1);  // OpenCV is called from threads of our own
   constexpr std::size_t strip_rows = 256;
   const int side = 2 * static_cast<int>(4 * sigma_px + 0.5) + 1;
   parallel_for(context, static_cast<std::size_t>(values.height()), strip_rows, [&](std::size_t begin, std::size_t end) {

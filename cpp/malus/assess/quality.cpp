@@ -2,7 +2,6 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <utility>
 
 #include "malus/assess/assessed_confidence_internal.h"
@@ -10,14 +9,13 @@
 #include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/assess/quality_internal.h"
+#include "malus/core/degrees_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
 namespace malus {
 namespace {
-
-constexpr double degrees = 180 / std::numbers::pi;
 
 RankedValues rank_values(const Image<float>& image, const Context& context) {
   return {image.count(), [&](std::size_t i) { return image[i]; }, context};
@@ -133,7 +131,7 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
   /// Median and 95th percentile of the object's valid pixels.
   const auto middle_and_p95 = [&](const Image<float>& map) {
     const auto value = [&](std::size_t i) {
-      const bool counts_in = is_object(input, i) && state.valid[i] == static_cast<std::uint8_t>(PixelState::valid);
+      const bool counts_in = is_object(input, i) && has_state(state.valid[i], PixelState::valid);
       return counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
     };
     return percentiles({map.count(), value, context}, 1, {0.5, 0.95});
@@ -149,7 +147,7 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
   figures.residual_p95 = residuals[1];
   figures.degree_median = degrees_of_polarization[0];
   figures.degree_p95 = degrees_of_polarization[1];
-  for (const double angle : state.angles_rad) figures.angles_deg.push_back(angle * degrees);
+  for (const double angle : state.angles_rad) figures.angles_deg.push_back(to_degrees(angle));
   figures.exposures = state.exposures;
   return figures;
 }
@@ -160,7 +158,8 @@ HeightFigures describe_height(const HeightMap& height) {
   std::copy(height.light.begin(), height.light.end(), figures.light.begin());
   const Eigen::Vector3d light = height.light.head<3>();
   // The camera is at −z from the surface.
-  if (light.norm() > 0) figures.light_to_view_deg = degrees * std::acos(std::clamp(-light.normalized().z(), -1.0, 1.0));
+  if (light.norm() > 0)
+    figures.light_to_view_deg = to_degrees(std::acos(std::clamp(-light.normalized().z(), -1.0, 1.0)));
   return figures;
 }
 

@@ -2,7 +2,6 @@
 #include <cmath>
 #include <functional>
 #include <map>
-#include <numbers>
 #include <utility>
 
 #include "malus/capture/alike_images_internal.h"
@@ -11,6 +10,7 @@
 #include "malus/capture/noise_internal.h"
 #include "malus/capture/resampling_internal.h"
 #include "malus/capture/response_internal.h"
+#include "malus/core/degrees_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 
@@ -57,7 +57,7 @@ std::vector<double> polarizer_angles_rad(const PolarizedSpec& spec) {
     readings_deg = *spec.angles_deg;
   }
   const double sign = spec.angle_direction == AngleDirection::clockwise ? -1 : 1;
-  for (double& reading : readings_deg) reading = sign * (reading - spec.angle_zero_deg) * std::numbers::pi / 180;
+  for (double& reading : readings_deg) reading = to_radians(sign * (reading - spec.angle_zero_deg));
   return readings_deg;
 }
 

@@ -6,6 +6,7 @@
 
 #include "malus/capture/mosaic_internal.h"
 #include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -39,6 +40,7 @@ cv::Mat gaussian_kernel(double sigma) {
 /// The raster convolved with the same kernel along both axes, mirrored at the border (without repeating it, so that a
 /// pixel keeps its place in the cell).
 Image<float> convolve(const Image<float>& source, const cv::Mat& kernel) {
+  const OpenCvThreads one_thread(1);  // called from threads of our own
   auto result = Image<float>::uninitialized(source.size());
   cv::sepFilter2D(as_mat(source), as_mat(result), CV_32F, kernel, kernel, {-1, -1}, 0, cv::BORDER_REFLECT_101);
   return result;
@@ -230,6 +232,7 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
 }
 
 Mask spread_flags(const Mask& flags, int reach) {
+  const OpenCvThreads one_thread(1);  // like other functions without a Context
   Mask result(flags.size());
   cv::dilate(as_mat(flags), as_mat(result), cv::Mat::ones(2 * reach + 1, 2 * reach + 1, CV_8U));
   return result;

@@ -2,7 +2,6 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
@@ -297,7 +296,7 @@ class Level {
     });
     std::vector<float> values;
     for (const std::vector<float>& part : parts) values.insert(values.end(), part.begin(), part.end());
-    return std::max(static_cast<double>(lower_quartile_in_place(values)), 1e-4);
+    return std::max(static_cast<double>(of_rank_in_place(values, values.size() / 4)), 1e-4);
   }
 
   Normals normal_equations(const std::vector<Affine>& maps, bool assess) const {

@@ -3,6 +3,7 @@
 #include <numbers>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/evidence/alignment_place_internal.h"
 
 namespace malus {
@@ -22,7 +23,6 @@ constexpr double informative_sigmas = 4, informative_ratio = 2;
 constexpr double concentrated_sigmas = 2.5, concentrated_ratio = 5;
 /// Gain below which a cue contradicts a place.
 constexpr double loss_sigmas = -2;
-constexpr double degree = std::numbers::pi / 180;
 constexpr Tolerance by_texture{0.012, 0.6, 0.035}, by_edges_only{0.04, 3, 0.08};
 /// If colors and phases are both informative, colors gain more than `agreed_sigmas` and phases gain, the offset does
 /// not come from a highlight: of 96 right stations with both cues, none gains more than 2.7 by its colors.
@@ -133,13 +133,13 @@ ToldOffsets told_offsets(const AlignmentProblem& problem, const AlignmentPlace& 
     return smallest_told(problem, found, best, {std::move(fields), std::move(offsets), least * unit});
   };
   return {told({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
-          told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, degree),
+          told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, to_radians(1)),
           told({&Similarity::log_scale}, {0.035, 0.05, 0.08}, tolerance.scale, 1)};
 }
 
 double sigmas_beyond(const Similarity& place, const Similarity& sigma, const Tolerance& tolerance, double extent) {
   const double shift = (std::hypot(place.du, place.dv) - tolerance.shift * extent) / std::hypot(sigma.du, sigma.dv);
-  const double turn = (std::abs(place.turn_rad) - tolerance.turn_deg * degree) / sigma.turn_rad;
+  const double turn = (std::abs(place.turn_rad) - to_radians(tolerance.turn_deg)) / sigma.turn_rad;
   const double scale = (std::abs(std::expm1(place.log_scale)) - tolerance.scale) / sigma.log_scale;
   return std::max({shift, turn, scale});
 }

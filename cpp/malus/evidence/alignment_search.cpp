@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/evidence/alignment_search_internal.h"
 
@@ -10,8 +10,7 @@ namespace {
 
 constexpr std::size_t fewest_pixels = 150;
 constexpr double largest_shift = 0.08;  ///< share of the object's size
-constexpr double one_degree = std::numbers::pi / 180;
-constexpr std::array turns_rad{-5 * one_degree, -2.5 * one_degree, 0.0, 2.5 * one_degree, 5 * one_degree};
+constexpr std::array turns_rad{to_radians(-5), to_radians(-2.5), 0.0, to_radians(2.5), to_radians(5)};
 constexpr std::array log_scales{-0.08, -0.04, 0.0, 0.04, 0.08};
 constexpr std::size_t places_kept = 3;
 constexpr double beyond_grid = 1.5;

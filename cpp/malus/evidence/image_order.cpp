@@ -2,10 +2,10 @@
 #include <cmath>
 #include <iomanip>
 #include <limits>
-#include <numbers>
 #include <numeric>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/pixel_samples_internal.h"
 #include "malus/polarization/polarizer_fit_internal.h"
@@ -94,7 +94,7 @@ std::string in_degrees(const std::vector<double>& angles_rad) {
   std::ostringstream text;
   text << '[';
   for (std::size_t k = 0; k < angles_rad.size(); ++k)
-    text << (k > 0 ? ", " : "") << std::round(10 * angles_rad[k] * 180 / std::numbers::pi) / 10;
+    text << (k > 0 ? ", " : "") << std::round(to_degrees(10 * angles_rad[k])) / 10;
   text << ']';
   return text.str();
 }

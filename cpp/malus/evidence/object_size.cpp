@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/length_unit_internal.h"
@@ -74,7 +75,7 @@ bool is_likely(double width_m, double distance_m) {
 double least_uncut_view_deg(const Pinhole& camera) {
   const double half_u = std::max(camera.cx + 0.5, camera.size.width - 0.5 - camera.cx) / camera.fx;
   const double half_v = std::max(camera.cy + 0.5, camera.size.height - 0.5 - camera.cy) / camera.fy;
-  return 2 * std::atan(std::max(half_u, half_v)) * 180 / std::numbers::pi;
+  return to_degrees(2 * std::atan(std::max(half_u, half_v)));
 }
 
 /// Median angle [degrees] by which normals turn if depths are rounded to single precision. A normal's slopes are
@@ -83,7 +84,7 @@ double turn_by_rounding_deg(double depth, double gsd) {
   const auto rounded = static_cast<float>(depth);
   const double step = std::nextafter(rounded, std::numeric_limits<float>::max()) - rounded;
   const double slope_sigma = step / gsd / std::sqrt(24.0);
-  return std::sqrt(2 * std::numbers::ln2) * slope_sigma * 180 / std::numbers::pi;
+  return to_degrees(std::sqrt(2 * std::numbers::ln2) * slope_sigma);
 }
 
 /// A unit in which size and distance would be usual, millimeters and meters first.
@@ -119,7 +120,7 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
                     " high, " + in_words(size.distance * metres) + " from the camera; one pixel is " +
                     in_words(size.gsd * metres);
   finding.figures = {{"width", size.width}, {"height", size.height}, {"distance", size.distance}, {"gsd", size.gsd}};
-  const double view_deg = 2 * std::atan(0.5 * camera.size.width / camera.fx) * 180 / std::numbers::pi;
+  const double view_deg = to_degrees(2 * std::atan(0.5 * camera.size.width / camera.fx));
   if (!is_likely(larger * metres, size.distance * metres)) {
     finding.severity = Severity::warning;
     const auto other = likelier_unit(larger, size.distance, unit);

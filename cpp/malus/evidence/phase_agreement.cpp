@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/evidence/phase_agreement_internal.h"
 #include "malus/polarization/phase_cells_internal.h"
 
@@ -18,7 +18,7 @@ constexpr double known_enough = 0.3;
 /// Correlation below which well-known phases and azimuths count as unrelated; right stations reach 0.33 and more.
 constexpr double weak_coherence = 0.2;
 /// Error of the polarizer's zero above which the finding is a warning.
-constexpr double large_turn_rad = 10 * std::numbers::pi / 180;
+constexpr double large_turn_rad = to_radians(10);
 constexpr double unrelated = 0.6;
 
 PhaseAgreement::Part part_of(const std::vector<PhaseCell>& cells) {
@@ -60,8 +60,8 @@ Finding finding_of(PhaseAgreement& agreement) {
   }
   if (knows_zero(overall) && std::abs(overall.turn_rad) > large_turn_rad + 5 * overall.turn_sigma_rad) {
     finding.severity = Severity::warning;
-    text << "the phases of polarization are " << overall.turn_rad * 180 / std::numbers::pi << "° ± "
-         << overall.turn_sigma_rad * 180 / std::numbers::pi << "° larger than the prior's azimuths everywhere";
+    text << "the phases of polarization are " << to_degrees(overall.turn_rad) << "° ± "
+         << to_degrees(overall.turn_sigma_rad) << "° larger than the prior's azimuths everywhere";
     finding.message = text.str();
     finding.suggestion = "is angle_zero_deg right, or is the prior turned in the image?";
     return finding;

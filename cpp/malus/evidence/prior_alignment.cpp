@@ -3,10 +3,10 @@
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <numbers>
 #include <sstream>
 #include <utility>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
@@ -25,7 +25,6 @@ namespace {
 
 using Kind = AlignmentProblem::Kind;
 
-constexpr double degrees = 180 / std::numbers::pi;
 /// Offsets that outlines of right priors may have.
 constexpr Tolerance by_outline{0.03, 0, 0.02};
 
@@ -65,14 +64,14 @@ void take(const AlignmentPlace& place, PriorAlignment& alignment) {
   alignment.object_px = place.extent_px;
   alignment.right_px = place.place.du;
   alignment.down_px = place.place.dv;
-  alignment.clockwise_deg = place.place.turn_rad * degrees;
+  alignment.clockwise_deg = to_degrees(place.place.turn_rad);
   alignment.scale = std::exp(place.place.log_scale);
   alignment.shift_sigma_px = std::hypot(place.sigma.du, place.sigma.dv);
-  alignment.turn_sigma_deg = place.sigma.turn_rad * degrees;
+  alignment.turn_sigma_deg = to_degrees(place.sigma.turn_rad);
   alignment.scale_sigma = place.sigma.log_scale;
   alignment.gain_sigmas = place.gain_sigmas;
   alignment.told_shift_px = place.told.shift_px;
-  alignment.told_turn_deg = place.told.turn_rad * degrees;
+  alignment.told_turn_deg = to_degrees(place.told.turn_rad);
   alignment.told_scale = place.told.log_scale;
 }
 

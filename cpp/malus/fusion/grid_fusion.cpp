@@ -2,13 +2,13 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <optional>
 #include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/disjoint_sets_internal.h"
 #include "malus/core/fields.h"
@@ -235,7 +235,7 @@ std::string caution_of_moving_height(const HeightMap& height) {
   std::ostringstream text;
   text.precision(2);
   text << "The height from polarization alone was still changing when its computation ended: its slopes by "
-       << std::atan(height.last_update) * 180 / std::numbers::pi << "° in the last of " << height.iterations
+       << to_degrees(std::atan(height.last_update)) << "° in the last of " << height.iterations
        << " rounds. The surface's fine detail is less sure by about that; with a larger height.iterations it goes on.";
   return text.str();
 }

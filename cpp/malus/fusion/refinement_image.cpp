@@ -128,7 +128,7 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
   const Size nodes{size.width + 1, size.height + 1};
   image.pixels = image.usable = Mask(nodes);
   parallel_pixels(context, size, [&](int u, int v) {
-    const bool known = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
+    const bool known = !has_state(state.valid(u, v), PixelState::outside);
     if (!known || !(prior.depth(u, v) > 0) || !std::isfinite(prior.depth(u, v))) return;
     image.pixels(u, v) = 255;
     const Eigen::Vector3d stokes = state.stokes(u, v);

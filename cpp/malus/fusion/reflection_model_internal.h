@@ -4,9 +4,9 @@
 #include <array>
 #include <cstdint>
 #include <memory>
-#include <numbers>
 #include <string_view>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/polarization/ray_frame.h"
 #include "malus/polarization/reflection.h"
 
@@ -17,7 +17,7 @@ struct EnvironmentProfile {
   static constexpr int node_count = 9;
   static constexpr std::array<double, node_count> nodes_rad = [] {
     std::array<double, node_count> nodes{0, 35, 45, 52, 58, 64, 70, 76, 89};
-    for (double& node : nodes) node *= std::numbers::pi / 180;
+    for (double& node : nodes) node *= to_radians(1);
     return nodes;
   }();
   std::array<double, node_count> radiance{};

@@ -34,12 +34,6 @@ void validate(const HeightInput& input, const HeightOptions& options) {
   if (input.prior_height != nullptr) require_size(*input.prior_height, size, "prior height");
 }
 
-Mask pixels_in(const PolarizationState& state, PixelState least) {
-  Mask mask(state.size());
-  for (std::size_t i = 0; i < mask.count(); ++i) mask[i] = state.valid[i] >= static_cast<std::uint8_t>(least) ? 255 : 0;
-  return mask;
-}
-
 /// Subtracts the mean of the finite values.
 void remove_mean(Image<float>& height, const Context& context) {
   constexpr std::size_t grain = 65536;
@@ -231,7 +225,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   map.perspective = camera != nullptr;
   map.height = Image<float>(state.size(), 1, no_value);
 
-  Mask valid = pixels_in(state, PixelState::valid);
+  Mask valid = state.valid_pixels();
   if (count_of_set(valid) == 0) {
     map.status = HeightStatus::no_valid_pixels;
     return map;
@@ -261,7 +255,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const HeightLight model{map.light, shading_sigma};
 
   // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
-  const Mask object = pixels_in(state, PixelState::saturated);
+  const Mask object = state.object();
   map.unknowns = static_cast<std::size_t>(count_of_set(object));
   const PixelRect all{0, 0, state.size().width, state.size().height};
   // The data of a whole raster take much memory, whatever the object's size.

@@ -87,7 +87,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
     const int v = box.v0 + row;
     for (int column = 0; column < box.width(); ++column) {
       const int u = box.u0 + column;
-      if (state.valid(u, v) == static_cast<std::uint8_t>(PixelState::outside)) continue;
+      if (has_state(state.valid(u, v), PixelState::outside)) continue;
       data.object(column, row) = 255;
       HeightPixel& pixel = data.pixels(column, row);
       if (input.prior_height != nullptr) pixel.prior_height = (*input.prior_height)(u, v);
@@ -108,7 +108,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
   if (!with_border) return data;
   // Only the object's own border is held, not the edges where this part is cut out of the raster.
   const auto is_object = [&](int u, int v) {
-    return state.valid.contains(u, v) && state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside);
+    return state.valid.contains(u, v) && !has_state(state.valid(u, v), PixelState::outside);
   };
   parallel_pixels(context, box.size(), [&](int column, int row) {
     const int u = box.u0 + column, v = box.v0 + row;

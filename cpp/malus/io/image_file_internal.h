@@ -1,8 +1,10 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <string_view>
 
 #include "malus/core/image.h"
 
@@ -31,6 +33,12 @@ Image<float> read_intensity(const std::filesystem::path& path);
 
 /// Size of an image from its header alone.
 Size read_image_size(const std::filesystem::path& path, const std::string& what = "image");
+
+/// Suffixes of image files, and of cameras' RAW files, in small letters.
+inline constexpr std::array<std::string_view, 5> image_suffixes{".png", ".tif", ".tiff", ".jpg", ".jpeg"};
+inline constexpr std::array<std::string_view, 15> raw_suffixes{".3fr", ".arw", ".cr2", ".cr3", ".crw",
+                                                               ".dng", ".iiq", ".nef", ".nrw", ".orf",
+                                                               ".pef", ".raf", ".rw2", ".sr2", ".srw"};
 
 /// Whether the name is that of a camera's RAW file, which the Python package develops (extra `raw`); read_image and
 /// read_image_size refuse such files, because their bytes may look like a preview's TIFF.

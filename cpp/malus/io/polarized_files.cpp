@@ -34,17 +34,16 @@ std::string_view take_digits(std::string_view& text) {
   return digits;
 }
 
-bool has_extension(const std::filesystem::path& path, std::span<const std::string_view> extensions) {
-  std::string extension = path.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
+bool has_suffix(const std::filesystem::path& path, std::span<const std::string_view> suffixes) {
+  std::string suffix = path.extension().string();
+  std::transform(suffix.begin(), suffix.end(), suffix.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   const bool hidden = path.filename().string().starts_with('.');
-  return !hidden && std::find(extensions.begin(), extensions.end(), extension) != extensions.end();
+  return !hidden && std::ranges::find(suffixes, suffix) != suffixes.end();
 }
 
 bool is_image_name(const std::filesystem::path& path) {
-  constexpr std::array<std::string_view, 5> extensions = {".png", ".tif", ".tiff", ".jpg", ".jpeg"};
-  return has_extension(path, extensions) || is_raw_name(path);
+  return has_suffix(path, image_suffixes) || is_raw_name(path);
 }
 
 /// Names are matched as bytes, in any encoding. RE2 bounds time and memory of a search; std::regex bounds neither.
@@ -111,10 +110,7 @@ bool is_polarizer_series(std::span<const double> angles) {
 }  // namespace
 
 bool is_raw_name(const std::filesystem::path& path) {
-  constexpr std::array<std::string_view, 15> extensions = {".3fr", ".arw", ".cr2", ".cr3", ".crw",
-                                                           ".dng", ".iiq", ".nef", ".nrw", ".orf",
-                                                           ".pef", ".raf", ".rw2", ".sr2", ".srw"};
-  return has_extension(path, extensions);
+  return has_suffix(path, raw_suffixes);
 }
 
 bool natural_less(std::string_view a, std::string_view b) {

@@ -2,10 +2,10 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <numbers>
 #include <set>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/io/angles_of_names_internal.h"
@@ -33,6 +33,8 @@ using Keys = std::vector<std::string_view>;
 /// Keys of a lens: model BROWN's parameters by name, and the keys that all models have.
 const Keys brown_keys{"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1", "k2", "k3", "p1", "p2", "p3"};
 const Keys lens_keys{"model", "width", "height", "params"};
+/// Keys of a prior's surface.
+const Keys surface_keys{"cloud", "mesh", "depth", "plane", "sphere", "cylinder"};
 /// Keys of a pose.
 const Keys pose_keys{"qvec", "tvec", "omega_phi_kappa_deg", "center"};
 
@@ -98,11 +100,9 @@ std::vector<TomlTable> numbered_tables(const TomlTable& document, const std::str
 }
 
 std::string read_unit(const TomlTable& table, const std::string& otherwise) {
-  const std::string name = table.text("unit").value_or(otherwise);
-  if (std::ranges::find(length_units, name, &LengthUnit::name) != length_units.end()) return name;
-  std::string list;
-  for (const LengthUnit& unit : length_units) list += (list.empty() ? "\"" : ", \"") + std::string(unit.name) + '"';
-  throw table.wrong("unit", "one of " + list);
+  Keys names;
+  for (const LengthUnit& unit : length_units) names.push_back(unit.name);
+  return table.text_among("unit", names).value_or(otherwise);
 }
 
 // ---- [polarized] ----
@@ -279,10 +279,7 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     }
     refuse(table, {"angles_deg", "angle_pattern"}, "cannot be given together with `mosaic`, which states the angles");
     require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
-    spec.mosaic_colors = table.text("mosaic_colors");
-    if (spec.mosaic_colors && std::ranges::find(bayer_patterns, *spec.mosaic_colors) == bayer_patterns.end()) {
-      throw table.wrong("mosaic_colors", "\"RGGB\", \"BGGR\", \"GRBG\" or \"GBRG\"");
-    }
+    spec.mosaic_colors = table.text_among("mosaic_colors", bayer_patterns);
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
     refuse(table, {"mosaic_colors"}, "is of a `mosaic`, which is not given");
@@ -436,7 +433,7 @@ LensCamera read_lens(const TomlTable& table) {
 /// Photogrammetric rotation M = R3(κ) R2(φ) R1(ω), world to image (x right, y up, z towards the viewer).
 Eigen::Matrix3d rotation_from_omega_phi_kappa(const std::array<double, 3>& angles_deg) {
   const auto axis_rotation = [](double angle_deg, const Eigen::Vector3d& axis) {
-    return Eigen::AngleAxisd(-angle_deg * std::numbers::pi / 180, axis).toRotationMatrix();
+    return Eigen::AngleAxisd(to_radians(-angle_deg), axis).toRotationMatrix();
   };
   return axis_rotation(angles_deg[2], Eigen::Vector3d::UnitZ()) *
          axis_rotation(angles_deg[1], Eigen::Vector3d::UnitY()) *
@@ -576,8 +573,7 @@ std::optional<Shape> read_shape(const TomlTable& table) {
 
 /// File or shape of [prior]; nothing if the surface itself is in memory.
 std::optional<PriorFile> read_prior(const TomlTable& table, bool in_memory) {
-  const std::array<std::string_view, 6> keys{"cloud", "mesh", "depth", "plane", "sphere", "cylinder"};
-  const auto given = std::ranges::count_if(keys, [&](std::string_view key) { return table.has(key); });
+  const auto given = std::ranges::count_if(surface_keys, [&](std::string_view key) { return table.has(key); });
   if (given == 0 && in_memory) return std::nullopt;
   if (given != 1) {
     throw table.error("cloud", "[prior] has " + std::to_string(given) +
@@ -767,8 +763,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
     station.photos = read_photos(*table);
   const bool prior_in_memory = given != nullptr && given->has_prior;
-  if (const auto table =
-          checked_section(document, "prior", {"cloud", "mesh", "depth", "plane", "sphere", "cylinder", "sigma"})) {
+  if (const auto table = checked_section(document, "prior", joined({surface_keys, {"sigma"}}))) {
     station.prior = read_prior(*table, prior_in_memory);
     station.prior_sigma = table->number("sigma", length_range);
   }

@@ -99,6 +99,14 @@ std::optional<std::string> TomlTable::text(std::string_view key) const {
   return line;
 }
 
+std::optional<std::string> TomlTable::text_among(std::string_view key, std::span<const std::string_view> known) const {
+  std::optional<std::string> value = text(key);
+  if (!value || std::ranges::find(known, *value) != known.end()) return value;
+  std::string list;
+  for (const std::string_view name : known) list += (list.empty() ? "\"" : ", \"") + std::string(name) + '"';
+  throw wrong(key, "one of " + list);
+}
+
 std::optional<std::string> TomlTable::lines(std::string_view key) const {
   const toml::node* node = find(key);
   if (!node) return std::nullopt;

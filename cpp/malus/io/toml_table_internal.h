@@ -9,6 +9,7 @@
 #include <concepts>
 #include <filesystem>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -41,6 +42,8 @@ class TomlTable {
   std::optional<std::vector<std::string>> texts(std::string_view key) const;
   template <std::size_t N>
   std::optional<std::array<double, N>> numbers_exactly(std::string_view key, Range range = any_value) const;
+  /// One of these texts.
+  std::optional<std::string> text_among(std::string_view key, std::span<const std::string_view> known) const;
   /// One of the enum's names.
   template <NamedEnum T>
   std::optional<T> choice(std::string_view key) const;
@@ -84,13 +87,9 @@ std::optional<std::array<double, N>> TomlTable::numbers_exactly(std::string_view
 
 template <NamedEnum T>
 std::optional<T> TomlTable::choice(std::string_view key) const {
-  const auto name = text(key);
-  if (!name) return std::nullopt;
-  const auto value = enum_value<T>(*name);
-  if (value) return value;
-  std::string list;
-  for (const std::string_view known : names_of(T{})) list += (list.empty() ? "\"" : ", \"") + std::string(known) + '"';
-  throw wrong(key, "one of " + list);
+  const auto names = names_of(T{});
+  const auto name = text_among(key, names);
+  return name ? enum_value<T>(*name) : std::nullopt;
 }
 
 template <class T>

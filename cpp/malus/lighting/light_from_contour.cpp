@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/lighting/light_from_contour_internal.h"
@@ -13,16 +13,15 @@
 namespace malus {
 namespace {
 
-constexpr double degree = std::numbers::pi / 180;
 /// The outermost pixels mix the object with what is behind it.
 constexpr float first_px = 1.5F, least_band_px = 6;
 /// Width of the band as a share of the largest distance from the outline.
 constexpr double band_share = 0.3;
 /// Usable zeniths: where the surface is flatter the phase is noise, where it is steeper the outline half hides it.
-constexpr double flattest = 25 * degree, steepest = 80 * degree;
+constexpr double flattest = to_radians(25), steepest = to_radians(80);
 /// Largest angle between a pixel's azimuth and the outward direction, and the smallest share of pixels within it. Of
 /// azimuths unrelated to the outline, 28 % are within it.
-constexpr double agreement = 25 * degree, least_share = 0.4;
+constexpr double agreement = to_radians(25), least_share = 0.4;
 constexpr std::size_t fewest_pixels = 100;
 
 /// Distance of each pixel of the object from its outline [px], zero outside, and a smoothed copy for the gradient.
@@ -31,13 +30,10 @@ struct Outline {
 };
 
 Outline find_outline(const PolarizationState& state) {
-  cv::Mat1b object(state.size().height, state.size().width, std::uint8_t{0}), filled = object.clone();
-  for (int v = 0; v < object.rows; ++v) {
-    for (int u = 0; u < object.cols; ++u)
-      object(v, u) = state.valid(u, v) != static_cast<std::uint8_t>(PixelState::outside) ? 255 : 0;
-  }
+  const Mask object = state.object();
+  cv::Mat1b filled(object.height(), object.width(), std::uint8_t{0});
   std::vector<std::vector<cv::Point>> outlines;
-  cv::findContours(object, outlines, cv::RETR_EXTERNAL, cv::CHAIN_APPROX_NONE);
+  cv::findContours(as_mat(object), outlines, cv::RETR_EXTERNAL, cv::CHAIN_APPROX_NONE);
   cv::drawContours(filled, outlines, -1, cv::Scalar(255), cv::FILLED);
   Outline outline;
   if (cv::countNonZero(filled) == static_cast<int>(filled.total())) return outline;

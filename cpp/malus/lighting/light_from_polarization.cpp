@@ -5,6 +5,7 @@
 #include <numbers>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/lighting/light_from_contour_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/polarization/ray_frame.h"
@@ -22,7 +23,7 @@ struct PixelSample {
 constexpr std::size_t most_samples = 20'000, fewest_samples = 100;
 constexpr int rounds = 30;
 /// Up to this angle between them, the light from all pixels is the outline's light, only more precise.
-constexpr double same_light = 10 * std::numbers::pi / 180;
+constexpr double same_light = to_radians(10);
 
 std::vector<PixelSample> take_samples(const PolarizationState& state, const ReflectionMap& reflection,
                                       const Pinhole* camera) {
@@ -121,7 +122,7 @@ Fit fit_of_unknown_direction(const std::vector<PixelSample>& samples, double out
   for (const double tilt_deg : {20.0, 50.0}) {
     for (int turn = 0; turn < 8; ++turn) {
       context.check_cancel();
-      const double tilt = tilt_deg * std::numbers::pi / 180, azimuth = turn * std::numbers::pi / 4;
+      const double tilt = to_radians(tilt_deg), azimuth = turn * std::numbers::pi / 4;
       const Eigen::Vector3d start(std::sin(tilt) * std::cos(azimuth), -std::sin(tilt) * std::sin(azimuth),
                                   -std::cos(tilt));
       const Fit fit = fit_from(samples, start, false, outlier_scale);

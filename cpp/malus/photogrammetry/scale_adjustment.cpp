@@ -2,8 +2,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/photogrammetry/scale_adjustment_internal.h"
 
 namespace malus {
@@ -154,7 +154,7 @@ Eigen::Vector3d intersect_rays(std::span<const MarkedView> views, std::span<cons
   for (const Eigen::Vector3d& direction : directions) {
     widest = std::max(widest, directions.front().cross(direction).norm());
   }
-  if (widest < std::sin(min_ray_angle_deg * std::numbers::pi / 180)) {
+  if (widest < std::sin(to_radians(min_ray_angle_deg))) {
     throw data_error(name + ": the marked photos see it from nearly one direction (less than " +
                      std::to_string(static_cast<int>(min_ray_angle_deg)) +
                      "° apart), expected marks in photos from different sides");

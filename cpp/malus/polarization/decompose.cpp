@@ -6,6 +6,7 @@
 #include <sstream>
 #include <string>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/sinusoid_block_internal.h"
@@ -67,7 +68,7 @@ void validate(Size size, std::size_t images, std::span<const double> angles_rad,
 void require_usable_angles(std::span<const double> angles_rad, std::size_t distinct, double max_condition) {
   std::ostringstream list;
   for (std::size_t k = 0; k < angles_rad.size(); ++k) {
-    list << (k > 0 ? ", " : "") << angles_rad[k] * 180 / std::numbers::pi;
+    list << (k > 0 ? ", " : "") << to_degrees(angles_rad[k]);
   }
   if (distinct < 3) {
     throw data_error("polarizer angles " + list.str() + " deg: " + std::to_string(distinct) +

@@ -6,13 +6,13 @@
 #include <numbers>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 
 namespace malus {
 namespace {
 
-constexpr double degrees = 180 / std::numbers::pi;
 /// Smaller errors of the zero are not corrected [deg].
 constexpr double small_zero_error_deg = 0.5;
 
@@ -74,10 +74,10 @@ Eigen::Matrix3d frame_by_nominal(const PolarizerFit& fit, const Eigen::MatrixX3d
 void set_values(PolarizerCalibration& calibration, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
   const Eigen::Index count = values.size() / 2;
   for (Eigen::Index k = 0; k < count; ++k) {
-    double angle_deg = values[k] * degrees;
+    double angle_deg = to_degrees(values[k]);
     if (angle_deg < 0) angle_deg += 180;
     calibration.angles_deg.push_back(angle_deg);
-    calibration.angles_sigma_deg.push_back(std::sqrt(std::max(covariance(k, k), 0.0)) * degrees);
+    calibration.angles_sigma_deg.push_back(to_degrees(std::sqrt(std::max(covariance(k, k), 0.0))));
     const double gain = std::exp(values[count + k]);
     calibration.gains.push_back(gain);
     calibration.gains_sigma.push_back(gain * std::sqrt(std::max(covariance(count + k, count + k), 0.0)));
@@ -156,8 +156,8 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
     return result;
   }
   const Eigen::Vector3d sigma = surface.covariance.diagonal().cwiseSqrt();
-  calibration.zero_error_deg = surface.values[2] * degrees;
-  calibration.zero_error_sigma_deg = sigma[2] * degrees;
+  calibration.zero_error_deg = to_degrees(surface.values[2]);
+  calibration.zero_error_sigma_deg = to_degrees(sigma[2]);
   calibration.scene_polarization = {-surface.values[0], -surface.values[1]};
   calibration.scene_polarization_sigma = {sigma[0], sigma[1]};
 
@@ -176,7 +176,7 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   for (Eigen::Index k = 0; k < count; ++k) gains.push_back(std::exp(mirrored[count + k]));
   const Eigen::MatrixX3d slopes = frame_slopes(angles, gains);
   Eigen::Matrix3d nominal_covariance = frame_by_nominal(fit, slopes);
-  nominal_covariance(2, 2) += std::pow(options.zero_sigma_deg / degrees, 2);
+  nominal_covariance(2, 2) += std::pow(to_radians(options.zero_sigma_deg), 2);
   const Eigen::Matrix3d nominal_information = nominal_covariance.inverse();
   const Eigen::Matrix3d surface_information = surface.covariance.inverse();
   const Eigen::Matrix3d covariance = (nominal_information + surface_information).inverse();

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <numbers>
 #include <sstream>
+
+#include "malus/core/degrees_internal.h"
 
 namespace malus {
 namespace {
@@ -12,7 +13,7 @@ namespace {
 std::vector<std::size_t> pixels_at_ranks(const PolarizationState& state) {
   constexpr double ranks[] = {0.1, 0.5, 0.9, 0.99};
   constexpr std::size_t most_candidates = 100'000, fewest_candidates = 2'000;
-  const auto is_valid = [](std::uint8_t pixel) { return pixel == static_cast<std::uint8_t>(PixelState::valid); };
+  const auto is_valid = [](std::uint8_t pixel) { return has_state(pixel, PixelState::valid); };
   std::vector<std::size_t> valid;
   // Of a small object in a large image, the image's stride would meet few pixels or none.
   const auto all = static_cast<std::size_t>(std::count_if(state.valid.begin(), state.valid.end(), is_valid));
@@ -51,7 +52,7 @@ std::vector<PixelCurve> pixel_curves(const PolarizationState& state, const std::
   for (const std::size_t pixel : shown) {
     PixelCurve curve{static_cast<int>(pixel % width), static_cast<int>(pixel / width), {}, {}};
     for (std::size_t k = 0; k < images.size(); ++k) {
-      curve.angles_deg.push_back(angles_rad[k] * 180 / std::numbers::pi);
+      curve.angles_deg.push_back(to_degrees(angles_rad[k]));
       curve.intensities.push_back(images[k][pixel]);
     }
     curves.push_back(std::move(curve));

@@ -4,6 +4,18 @@
 
 namespace malus {
 
+Mask PolarizationState::valid_pixels() const {
+  Mask mask = valid;
+  for (std::uint8_t& pixel : mask) pixel = has_state(pixel, PixelState::valid) ? 255 : 0;
+  return mask;
+}
+
+Mask PolarizationState::object() const {
+  Mask mask = valid;
+  for (std::uint8_t& pixel : mask) pixel = has_state(pixel, PixelState::outside) ? 0 : 255;
+  return mask;
+}
+
 Eigen::Vector3d PolarizationState::stokes(int u, int v) const {
   const double s0 = 2.0 * i_un(u, v), linear = s0 * rho(u, v);
   return {s0, linear * std::cos(2.0 * phi(u, v)), linear * std::sin(2.0 * phi(u, v))};

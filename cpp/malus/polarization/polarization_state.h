@@ -23,6 +23,11 @@ enum class PixelState : std::uint8_t {
   valid = 255,
 };
 
+/// Whether a value of PolarizationState::valid is this state.
+constexpr bool has_state(std::uint8_t pixel, PixelState state) {
+  return pixel == static_cast<std::uint8_t>(state);
+}
+
 /// The intensity behind a polarizer at this angle is the product of this with (s0, s1, s2).
 inline Eigen::Vector3d polarizer_row(double angle_rad) {
   return {0.5, 0.5 * std::cos(2 * angle_rad), 0.5 * std::sin(2 * angle_rad)};
@@ -44,7 +49,11 @@ struct PolarizationState {
   Image<float> variance_factor;
 
   Size size() const { return i_un.size(); }
-  bool is_valid(int u, int v) const { return valid(u, v) == static_cast<std::uint8_t>(PixelState::valid); }
+  bool is_valid(int u, int v) const { return has_state(valid(u, v), PixelState::valid); }
+  /// 255 at the valid pixels.
+  Mask valid_pixels() const;
+  /// 255 on the object, that is at all pixels that are not `outside`.
+  Mask object() const;
   /// Stokes vector (s0, s1, s2) of a pixel.
   Eigen::Vector3d stokes(int u, int v) const;
   /// Factor on the noise model's variances at a pixel.

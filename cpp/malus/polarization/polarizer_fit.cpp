@@ -8,6 +8,7 @@
 #include <numbers>
 #include <string>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -257,7 +258,7 @@ struct Nominal {
 };
 
 Nominal nominal_values(std::span<const double> nominal_rad, Eigen::Index count, const PolarizerOptions& options) {
-  const double sigma_rad = options.angle_sigma_deg * std::numbers::pi / 180;
+  const double sigma_rad = to_radians(options.angle_sigma_deg);
   Nominal nominal{Eigen::VectorXd::Zero(2 * count), Eigen::VectorXd::Zero(2 * count)};
   nominal.weight.tail(count).setConstant(1 / (options.gain_sigma * options.gain_sigma));
   for (std::size_t k = 0; k < nominal_rad.size(); ++k) {
@@ -423,7 +424,7 @@ Eigen::MatrixXd residual_projection(const Eigen::MatrixX3d& rows) {
 
 bool PolarizerFit::is_plausible(const PolarizerOptions& options) const {
   constexpr double deviations = 5;
-  return largest_angle_change_rad < deviations * options.angle_sigma_deg * std::numbers::pi / 180 &&
+  return largest_angle_change_rad < to_radians(deviations * options.angle_sigma_deg) &&
          largest_gain_change < deviations * options.gain_sigma;
 }
 

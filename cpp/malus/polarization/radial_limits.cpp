@@ -2,6 +2,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/radial_limits_internal.h"
 
@@ -10,7 +11,7 @@ namespace {
 
 constexpr double steep_tan2 = 0.13;  // 20°
 /// Error of a prior's zenith that the limit allows for, and a factor on the limit for errors of the prior's azimuth.
-constexpr double zenith_error_rad = 5 * std::numbers::pi / 180, allowance = 2.5;
+constexpr double zenith_error_rad = to_radians(5), allowance = 2.5;
 constexpr double noise_sigmas = 5, degree_floor = 0.003;
 constexpr int blocks_per_side = 8;
 constexpr double min_cells = 100;

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <optional>
 #include <string>
 #include <vector>
@@ -93,7 +92,7 @@ bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& op
   const double largest = largest_diffuse_degree(options.refractive_index);
   std::size_t valid = 0, beyond = 0;
   for (std::size_t i = 0; i < state.rho.count(); ++i) {
-    if (state.valid[i] != static_cast<std::uint8_t>(PixelState::valid)) continue;
+    if (!has_state(state.valid[i], PixelState::valid)) continue;
     ++valid;
     if (state.rho[i] > largest) ++beyond;
   }

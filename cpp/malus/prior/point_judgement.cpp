@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
@@ -15,7 +15,7 @@ namespace {
 class Judge {
  public:
   Judge(std::span<const ViewPoint> points, const PriorOptions& options)
-      : points_(points), options_(options), max_slope_(std::tan(options.max_slope_deg * std::numbers::pi / 180)) {}
+      : points_(points), options_(options), max_slope_(std::tan(to_radians(options.max_slope_deg))) {}
 
   /// Counts of neighbors by height, relative to `outlier_floor_gsd`. They often decide the tests without further work.
   struct Heights {

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <iterator>
 #include <limits>
-#include <numbers>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 #include <optional>
@@ -339,14 +338,11 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
   const Surface surface = smooth_cloud(std::move(points), region, how, options, context);
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (holes(u, v) == 0) continue;
-      const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
-      prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(std::hypot(
-          raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
-    }
+  parallel_pixels(context, holes, [&](int u, int v) {
+    const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
+    prior.depth(u, v) = static_cast<float>(depth);
+    prior.sigma(u, v) = static_cast<float>(std::hypot(
+        raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
   });
   prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
@@ -489,13 +485,10 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   prior.noise = stated_or_measured(measured * visible.reference_depth / focal, options, context);
   const double noise = prior.noise * focal / visible.reference_depth;
   const double shared2 = options.correlated_noise * options.correlated_noise;
-  parallel_rows(context, camera.size.height, [&](int v) {
-    for (int u = 0; u < camera.size.width; ++u) {
-      if (mask(u, v) == 0) continue;
-      const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
-      prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
-    }
+  parallel_pixels(context, mask, [&](int u, int v) {
+    const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
+    prior.depth(u, v) = static_cast<float>(depth);
+    prior.sigma(u, v) = static_cast<float>(noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
@@ -572,19 +565,16 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   if (is_hull) prior.smoothing_px = 0;
   prior.shares_windows = true;
   cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
-  parallel_rows(context, depth.height(), [&](int v) {
-    for (int u = 0; u < depth.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      prior.depth(u, v) *= shape(u, v);
-      float& value = prior.sigma(u, v);
-      value *= shape(u, v);
-      if (known(u, v)) {
-        value = std::max(value, sigma(u, v));
-        continue;
-      }
-      const double gsd = prior.depth(u, v) / camera.focal();
-      value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance.at<float>(v, u)));
+  parallel_pixels(context, mask, [&](int u, int v) {
+    prior.depth(u, v) *= shape(u, v);
+    float& value = prior.sigma(u, v);
+    value *= shape(u, v);
+    if (known(u, v)) {
+      value = std::max(value, sigma(u, v));
+      return;
     }
+    const double gsd = prior.depth(u, v) / camera.focal();
+    value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance.at<float>(v, u)));
   });
   return prior;
 }

@@ -3,7 +3,6 @@
 #include "malus/assess/quality_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/station/quality_json_internal.h"
-#include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 
 namespace malus {
@@ -14,7 +13,7 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
   const StationFile& station = job.station.file;
   std::optional<TriangleMesh> reference;
   if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context);
-  const Mask object = object_mask(*polarization.state);
+  const Mask object = polarization.state->object();
   Quality quality = assess({.surface = &surface,
                             .prior = &prior,
                             .height = height,

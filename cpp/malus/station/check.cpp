@@ -178,10 +178,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
-    if (!station.file.camera) {
-      throw input_error(station.file.path.string() +
-                        ": [camera] has no pose, expected a camera whose position is known");
-    }
+    require_camera(station.file);
     details["prior"] = with_prior(station, context, PriorCheck{station, object, options.prior, plan, details});
   } else if (!station.file.photos) {
     plan.warnings.emplace_back(

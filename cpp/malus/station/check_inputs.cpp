@@ -39,6 +39,13 @@ Image<std::uint8_t> captured_labels(const StationFile& station) {
   return read_labels(path);
 }
 
+const CameraSpec& require_camera(const StationFile& station) {
+  if (station.camera) return *station.camera;
+  throw input_error(
+      station.path.string() +
+      ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
+}
+
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image) {
   constexpr double same_direction = 1e-6;
   const bool has_distortion = camera.lens.has_distortion();

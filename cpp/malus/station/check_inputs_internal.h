@@ -20,6 +20,9 @@ Mask captured_object(const Station& station, Size size);
 /// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
 Image<std::uint8_t> captured_labels(const StationFile& station);
 
+/// Lens and pose. Input error without a pose.
+const CameraSpec& require_camera(const StationFile& station);
+
 /// A point of the prior projected into the station's camera.
 struct SeenPoint {
   Eigen::Vector3d in_cam;

@@ -8,7 +8,6 @@
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/prior_scale_internal.h"
-#include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 
 namespace malus {
@@ -24,7 +23,7 @@ std::vector<Finding> compare_with_prior(const Job& job, const PolarizationState&
   } else if (given != nullptr && scale != 1) {
     made = scaled(*given, scale);
   }
-  const Mask object = object_mask(state);
+  const Mask object = state.object();
   return findings_before_fusion({.images = {state, scene.image, object, view.camera, job.station.file.unit},
                                  .pose = prior.pose,
                                  .prior_depth = prior.depth,

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <iomanip>
-#include <numbers>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -9,6 +8,7 @@
 #include <vector>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
@@ -65,7 +65,7 @@ Finding caution_of_angles(const PolarizerFit& fit) {
     for (std::size_t k = 0; k < of.size(); ++k) values << (k > 0 ? ", " : "") << of[k] * factor;
     values << "]";
   };
-  list("angles", fit.angles_rad, 180 / std::numbers::pi);
+  list("angles", fit.angles_rad, to_degrees(1));
   list("° (counter-clockwise) and exposures", fit.gains, 100);
   return {"angles",
           Severity::caution,
@@ -74,7 +74,7 @@ Finding caution_of_angles(const PolarizerFit& fit) {
               values.str() + " %",
           "are angles_deg what the scale said, in the order of the images, and were exposure, white balance and light "
           "left alone?",
-          {{"largest_angle_change_deg", fit.largest_angle_change_rad * 180 / std::numbers::pi},
+          {{"largest_angle_change_deg", to_degrees(fit.largest_angle_change_rad)},
            {"largest_gain_change", fit.largest_gain_change}}};
 }
 
@@ -132,8 +132,8 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
 std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
-    object_pixels += pixel != static_cast<std::uint8_t>(PixelState::outside);
-    misfit_pixels += pixel == static_cast<std::uint8_t>(PixelState::misfit);
+    object_pixels += !has_state(pixel, PixelState::outside);
+    misfit_pixels += has_state(pixel, PixelState::misfit);
   }
   const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return std::nullopt;

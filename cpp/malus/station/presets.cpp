@@ -8,8 +8,7 @@ const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
       {"paper",
        "the method of the paper as printed: angles as read, literal rows, orthographic, both surfaces scaled to 0 … 1, "
-       "then all "
-       "equations together",
+       "then all equations together",
        R"({"fusion": "grid",
            "polarizer": {"calibrate_angles": "off"},
            "light": {"model": "directional"},

@@ -4,6 +4,7 @@
 
 #include "malus/io/input_file_internal.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/json_fields_internal.h"
 #include "malus/station/step_runner_internal.h"
 
@@ -59,6 +60,8 @@ Results reconstruct(const Station& station, const Options& options, const RunOpt
   if (run.until) require_step(*run.until);
   std::vector<const Step*> steps = steps_of_run(step_table(), station, options, run.until);
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);
+  if (std::ranges::any_of(steps, [](const Step* step) { return step->makes_type(typeid(DepthPrior)); }))
+    require_camera(station.file);
   return StepRunner(step_table(), std::move(steps), station, options, run, context).run();
 }
 
@@ -86,7 +89,7 @@ void forget_step(const std::filesystem::path& folder, const std::string& name) {
 }
 
 void record_step(const std::filesystem::path& folder, const std::string& name, const std::vector<std::string>& files,
-                 double seconds, const Context& context) {
+                 const std::string& times_json, const Context& context) {
   const std::vector<Step>& table = step_table();
   const auto step = std::ranges::find(table, name, &Step::name);
   if (step == table.end()) throw input_error("step " + name + " does not exist");
@@ -98,7 +101,7 @@ void record_step(const std::filesystem::path& folder, const std::string& name, c
   }
   record.key = sha256_of_bytes(Json(record.after).dump());
   record.outputs = workspace.examine(files, context);
-  workspace.finish(name, std::move(record), {{"seconds", seconds}});
+  workspace.finish(name, std::move(record), Json::parse(times_json));
 }
 
 }  // namespace malus

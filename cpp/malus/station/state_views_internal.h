@@ -14,22 +14,13 @@ namespace malus {
 /// The light estimated from the valid pixels of a surface with these normals.
 inline LightEstimate light_on_surface(const PolarizationState& state, const Image<float>& normals,
                                       const Pinhole* camera, const LightOptions& options, const Context& context) {
-  Mask valid = state.valid;
-  for (std::uint8_t& pixel : valid) pixel = pixel == static_cast<std::uint8_t>(PixelState::valid) ? 255 : 0;
-  return estimate_light(state.i_un, normals, valid, camera, options, context);
+  return estimate_light(state.i_un, normals, state.valid_pixels(), camera, options, context);
 }
 
 /// The station's label image in the undistorted view, empty without one. Like the mask it is of the images as captured.
 inline Image<std::uint8_t> labels_in_view(const StationFile& station, const Context& context) {
   if (!station.optics.label_image) return {};
   return undistorted_mask(captured_labels(station), station.known_lens(), context);
-}
-
-/// The object in the undistorted view: where the polarization state has pixels at all.
-inline Mask object_mask(const PolarizationState& state) {
-  Mask mask = state.valid;
-  for (std::uint8_t& pixel : mask) pixel = pixel == static_cast<std::uint8_t>(PixelState::outside) ? 0 : 255;
-  return mask;
 }
 
 }  // namespace malus

@@ -26,14 +26,6 @@
 namespace malus {
 namespace {
 
-/// The camera of the station. Throws an error that names what is missing.
-const CameraSpec& require_camera(const StationFile& file) {
-  if (file.camera) return *file.camera;
-  throw input_error(
-      file.path.string() +
-      ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
-}
-
 /// Map of the pixels where points of a cloud are seen, and whether the points lie on the prior's surface.
 Mask seen_points(const PointCloud& cloud, const DepthPrior& prior) {
   constexpr double tolerance_gsd = 3, tolerance_sigma = 3;
@@ -86,7 +78,7 @@ FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const C
 Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& prior, const PolarizationState& state,
               const RefinementFindings* refinement) {
   const StationFile& station = job.station.file;
-  const Mask object = object_mask(state);
+  const Mask object = state.object();
   AssessInput input;
   input.surface = &surface;
   input.prior = &prior;
@@ -112,7 +104,7 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
     job.context.log(LogLevel::info, scale);
   PriorOptions options = job.options.prior;
   if (!options.sigma) options.sigma = job.station.file.prior_sigma;
-  const PriorMaker maker{job, view.camera, pose, object_mask(*measured.state), options, points};
+  const PriorMaker maker{job, view.camera, pose, measured.state->object(), options, points};
   DepthPrior prior = with_prior(job.station, job.context, maker);
   return {std::move(prior), std::move(points)};
 }

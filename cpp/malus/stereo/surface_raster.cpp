@@ -2,6 +2,7 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/simd_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
@@ -92,9 +93,7 @@ Image<float> median_filtered(const Image<float>& log_depth, int radius, const Co
           if (std::isfinite(log_depth(i, j))) window.push_back(log_depth(i, j));
         }
       }
-      const auto middle = window.begin() + static_cast<std::ptrdiff_t>(window.size() / 2);
-      std::nth_element(window.begin(), middle, window.end());
-      result(u, v) = *middle;
+      result(u, v) = median_in_place(window);
     }
   });
   return result;
@@ -133,40 +132,34 @@ Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double lar
 
 Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, const Context& context) {
   Image<float> result(mask.size(), 1, no_value);
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      float sum = 0, weight = 0;
-      for (int j = -1; j <= 1; ++j) {
-        for (int i = -1; i <= 1; ++i) {
-          if (!log_depth.contains(2 * u + i, 2 * v + j) || !std::isfinite(log_depth(2 * u + i, 2 * v + j))) continue;
-          const auto w = static_cast<float>((2 - std::abs(i)) * (2 - std::abs(j)));
-          sum += w * log_depth(2 * u + i, 2 * v + j);
-          weight += w;
-        }
+  parallel_pixels(context, mask, [&](int u, int v) {
+    float sum = 0, weight = 0;
+    for (int j = -1; j <= 1; ++j) {
+      for (int i = -1; i <= 1; ++i) {
+        if (!log_depth.contains(2 * u + i, 2 * v + j) || !std::isfinite(log_depth(2 * u + i, 2 * v + j))) continue;
+        const auto w = static_cast<float>((2 - std::abs(i)) * (2 - std::abs(j)));
+        sum += w * log_depth(2 * u + i, 2 * v + j);
+        weight += w;
       }
-      if (weight > 0) result(u, v) = sum / weight;
     }
+    if (weight > 0) result(u, v) = sum / weight;
   });
   return result;
 }
 
 Image<float> doubled(const Image<float>& log_depth, const Mask& mask, const Context& context) {
   Image<float> result(mask.size(), 1, no_value);
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) continue;
-      float sum = 0;
-      int count = 0;
-      for (const int j : {v / 2, (v + 1) / 2}) {
-        for (const int i : {u / 2, (u + 1) / 2}) {
-          if (!log_depth.contains(i, j) || !std::isfinite(log_depth(i, j))) continue;
-          sum += log_depth(i, j);
-          ++count;
-        }
+  parallel_pixels(context, mask, [&](int u, int v) {
+    float sum = 0;
+    int count = 0;
+    for (const int j : {v / 2, (v + 1) / 2}) {
+      for (const int i : {u / 2, (u + 1) / 2}) {
+        if (!log_depth.contains(i, j) || !std::isfinite(log_depth(i, j))) continue;
+        sum += log_depth(i, j);
+        ++count;
       }
-      if (count > 0) result(u, v) = sum / static_cast<float>(count);
     }
+    if (count > 0) result(u, v) = sum / static_cast<float>(count);
   });
   return result;
 }

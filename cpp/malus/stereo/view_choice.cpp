@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <sstream>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -15,7 +15,7 @@ namespace {
 /// Number of sample pixels per side of the image at which photos are judged.
 constexpr int samples_a_side = 24;
 /// A photo's quality grows with its angle to the station's view up to this angle, and falls beyond twice this angle.
-constexpr double best_angle_rad = 20 * std::numbers::pi / 180;
+constexpr double best_angle_rad = to_radians(20);
 /// If the sweep's polynomial fits a lens with a larger error, this is logged.
 constexpr double largest_fit_error_px = 0.05;
 /// Photos with a shorter side below this are not halved.
@@ -79,7 +79,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
     photo.parallax = median(parallax);
     photo.resolution = resolution.empty() ? 1 : median(resolution);
     const double a = median(angle), share = total > 0 ? static_cast<double>(angle.size()) / total : 0;
-    photo.sees = !angle.empty() && a <= options_.max_angle_deg * std::numbers::pi / 180;
+    photo.sees = !angle.empty() && a <= to_radians(options_.max_angle_deg);
     const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
     const Eigen::Vector3d& centre = photo.projection.centre_in_station();

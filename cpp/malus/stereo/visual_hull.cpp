@@ -138,22 +138,19 @@ Image<float> front(const std::vector<const Outline*>& outlines, const Grid& grid
 /// Values of the grid at every pixel of the object, bilinear between those that are known; NaN without one nearby.
 Image<float> at_pixels(const Image<float>& values, const Grid& grid, const Mask& object, const Context& context) {
   Image<float> all(object.size(), 1, no_value);
-  parallel_rows(context, object.height(), [&](int v) {
-    for (int u = 0; u < object.width(); ++u) {
-      if (object(u, v) == 0) continue;
-      const double x = (u + 0.5) / grid.spacing - 0.5, y = (v + 0.5) / grid.spacing - 0.5;
-      const int left = static_cast<int>(std::floor(x)), top = static_cast<int>(std::floor(y));
-      double sum = 0, weight = 0;
-      for (int j = top; j <= top + 1; ++j) {
-        for (int i = left; i <= left + 1; ++i) {
-          if (i < 0 || j < 0 || i >= grid.size.width || j >= grid.size.height || std::isnan(values(i, j))) continue;
-          const double w = std::max(1e-6, (1 - std::abs(x - i)) * (1 - std::abs(y - j)));
-          sum += w * values(i, j);
-          weight += w;
-        }
+  parallel_pixels(context, object, [&](int u, int v) {
+    const double x = (u + 0.5) / grid.spacing - 0.5, y = (v + 0.5) / grid.spacing - 0.5;
+    const int left = static_cast<int>(std::floor(x)), top = static_cast<int>(std::floor(y));
+    double sum = 0, weight = 0;
+    for (int j = top; j <= top + 1; ++j) {
+      for (int i = left; i <= left + 1; ++i) {
+        if (i < 0 || j < 0 || i >= grid.size.width || j >= grid.size.height || std::isnan(values(i, j))) continue;
+        const double w = std::max(1e-6, (1 - std::abs(x - i)) * (1 - std::abs(y - j)));
+        sum += w * values(i, j);
+        weight += w;
       }
-      if (weight > 0) all(u, v) = static_cast<float>(sum / weight);
     }
+    if (weight > 0) all(u, v) = static_cast<float>(sum / weight);
   });
   return all;
 }

@@ -4,12 +4,12 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <numbers>
 #include <numeric>
 #include <optional>
 #include <sstream>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/surface/display_image_internal.h"
@@ -83,7 +83,7 @@ class Grid {
         sigma_(surface.sigma),
         camera_(surface.camera),
         step_(options.subsample),
-        min_cosine_(std::cos(options.max_incidence_deg * std::numbers::pi / 180)),
+        min_cosine_(std::cos(to_radians(options.max_incidence_deg))),
         max_sigma_(options.max_sigma_gsd / surface.camera.focal()),
         size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1},
         strip_rows_(std::max(1, pixels_of_strip / (depth_.width() * step_))) {

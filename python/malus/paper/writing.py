@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from malus import _core
 from malus._files import write_bytes, write_text
 from malus.errors import InputError
 from malus.figures import Figure, Plates, encode
@@ -49,11 +50,11 @@ def write_paper(work: str | Path) -> Path:
     captions.md has the captions, contact_sheet.png shows all plates on one page, and each table is written as .csv and .md. Raises
     InputError if a file that they show was changed after its step wrote it.
     """
-    workspace = Workspace(work)
+    watch, workspace = _core.StepWatch(), Workspace(work)
     plates = Plates(workspace, for_print=True, words=SURFACES)
     tables = [table_1(workspace), table_2(workspace)]
     pictures, captions = [], []
-    with workspace.recording("paper") as files:
+    with workspace.recording("paper", watch) as files:
         for number, figure in _numbered(plates):
             pictures.append((f"{number} {figure.name}", figure.picture))
             name = f"paper/fig_{number}_{figure.name}"

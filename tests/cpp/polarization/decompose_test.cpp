@@ -139,7 +139,12 @@ TEST(Decompose, PixelStatesInOrderOfPrecedence) {
   const auto state = decompose(images, angles, {}, mask, saturated, {}, {});
   const PixelState expected[] = {PixelState::outside, PixelState::saturated, PixelState::dark,
                                  PixelState::misfit,  PixelState::valid,     PixelState::outside};
-  for (int u = 0; u < 6; ++u) EXPECT_EQ(state.valid(u, 0), static_cast<std::uint8_t>(expected[u])) << u;
+  const Mask valid = state.valid_pixels(), object = state.object();
+  for (int u = 0; u < 6; ++u) {
+    EXPECT_EQ(state.valid(u, 0), static_cast<std::uint8_t>(expected[u])) << u;
+    EXPECT_EQ(valid(u, 0), expected[u] == PixelState::valid ? 255 : 0) << u;
+    EXPECT_EQ(object(u, 0), expected[u] != PixelState::outside ? 255 : 0) << u;
+  }
   EXPECT_TRUE(std::isnan(state.rho(0, 0)));
   EXPECT_TRUE(std::isfinite(state.rho(1, 0)));
   EXPECT_TRUE(std::isnan(state.rho(5, 0)));

@@ -60,6 +60,17 @@ TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
       ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "no polarized images");
 }
 
+TEST(CheckStation, RefusesAPriorWithoutAPoseBeforeAnythingIsComputed) {
+  Station station = scaled_station();
+  station.prior = cloud_of(station);
+  station.file.camera.reset();
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "[camera] has no pose");
+  // The polarization would be the first step, and would refuse the single image.
+  expect_error(
+      ErrorCode::input, [&] { reconstruct(station, Options(), RunOptions(), Context()); }, "[camera] has no pose");
+}
+
 TEST(CheckPicture, ShowsThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   const std::vector<PriorSource> sources{cloud_of(station), Image<float>({40, 30}, 1, 100.0F),

@@ -112,10 +112,31 @@ TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryChangesItsValues) {
   const Json upright = json(&StationInputs::prior);
   station_.prior = Image<float>({3, 2}, 1, 1.0F);
   EXPECT_NE(json(&StationInputs::prior), upright);
-  station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}), {}};
+
+  const Image<float> zeros({2, 3});
+  const SweptDepth before{zeros, zeros, zeros, zeros, zeros};
+  station_.prior = before;
   const Json swept = json(&StationInputs::prior);
-  station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}, 1, 1.0F), {}};
-  EXPECT_NE(json(&StationInputs::prior), swept);
+  for (auto raster :
+       {&SweptDepth::depth, &SweptDepth::sigma, &SweptDepth::shape, &SweptDepth::hull, &SweptDepth::hull_sigma}) {
+    SweptDepth after = before;
+    (after.*raster)(1, 1) = 1;
+    station_.prior = after;
+    EXPECT_NE(json(&StationInputs::prior), swept);
+  }
+}
+
+TEST_F(StationInputsTest, ScaleAndStatedSigmaChangeTheValuesOfAnyPrior) {
+  station_.prior = CloudFile{folder_ / "cloud.ply"};
+  const Json before = json(&StationInputs::prior);
+  station_.file.prior_scale = 2;
+  const Json larger = json(&StationInputs::prior);
+  station_.file.prior_sigma = 0.5;
+  const Json stated = json(&StationInputs::prior);
+  EXPECT_NE(larger, before);
+  EXPECT_NE(stated, larger);
+  station_.file.prior_sigma = 0.25;
+  EXPECT_NE(json(&StationInputs::prior), stated);
 }
 
 TEST_F(StationInputsTest, FilesThatChangeDuringARunAreRefused) {
