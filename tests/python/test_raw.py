@@ -79,6 +79,19 @@ def test_raw_files_are_linear(station: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(result.unpolarized[inside], (0.2 + 0.004 * u + 0.003 * v)[inside], atol=1e-3)
 
 
+def test_rims_of_highlights_count_as_saturated(tmp_path: Path) -> None:
+    """A sample that is clipped is darker than the light, and so is every pixel that is interpolated from it."""
+    pytest.importorskip("rawpy")
+    light = np.full(SIZE, 0.3)
+    light[20:25, 30:37] = 1.0
+    write_dng(tmp_path / "pol_000.dng", light)
+    pixels = raw.linear_image(tmp_path / "pol_000.dng")
+    assert np.all((np.abs(pixels - 0.3) < 1e-3) | (pixels == 1) | (pixels >= 0.995))
+    near = pixels[18:27, 28:39]
+    assert np.all(pixels[20:25, 30:37] >= 0.995) and 100 > np.count_nonzero(near[..., 1] >= 0.995) > 35
+    assert np.all(pixels[:17] < 0.4) and np.all(pixels[:, 41:] < 0.4)
+
+
 def test_images_are_developed_again_only_if_their_content_changed(station: Path, tmp_path: Path) -> None:
     pytest.importorskip("rawpy")
     work = tmp_path / "work"
