@@ -83,11 +83,15 @@ Station with_developed(Station station, const std::vector<std::string>& images, 
   return station;
 }
 
-/// The station with warnings about its files, each with the name of its check, message and suggestion.
-Station with_file_doubts(Station station,
-                         const std::vector<std::tuple<std::string, std::string, std::string>>& doubts) {
+/// Name of the check, message and suggestion.
+using FileFindings = std::vector<std::tuple<std::string, std::string, std::string>>;
+
+/// The station with warnings and notes about its files.
+Station with_file_doubts(Station station, const FileFindings& doubts, const FileFindings& notes) {
   for (const auto& [check, message, suggestion] : doubts)
     station.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
+  for (const auto& [check, message, suggestion] : notes)
+    station.file_findings.push_back({check, Severity::note, message, suggestion, {}});
   return station;
 }
 
@@ -172,7 +176,7 @@ void bind_run(py::module_& module) {
                   py::arg("prior_depth"), py::arg("mask"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
-      .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))
+      .def("with_file_doubts", &with_file_doubts, py::arg("doubts"), py::arg("notes"))
       .def("with_curves_of", &with_curves_of, py::arg("pixels"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("swept"), py::arg("figures"),

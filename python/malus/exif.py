@@ -15,6 +15,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+from malus import _core
 from malus._files import open_regular
 from malus.errors import InputError
 
@@ -23,6 +24,17 @@ _EXPOSURE_TIME = 33434
 _DATE_TAKEN = 36867
 _SUBSECOND = 37521
 _WHITE_BALANCE = 41987
+_ORIENTATION = 274
+#: What viewers do with an image by its orientation; 1 = nothing. From 5 on, width and height are exchanged.
+_TURNED = {
+    2: "mirrored",
+    3: "turned by 180°",
+    4: "turned by 180° and mirrored",
+    5: "turned by 90° and mirrored",
+    6: "turned by 90°",
+    7: "turned by 90° and mirrored",
+    8: "turned by 90°",
+}
 #: Tags that must not change within a station, their names and units.
 _ALIKE: dict[int, tuple[str, str]] = {
     _EXPOSURE_TIME: ("exposure time", " s"),
@@ -144,6 +156,25 @@ def exposure_doubts(images: Sequence[Path], exposure_s: Sequence[float] | None) 
             )
             return [("exposures", message, "is exposure_s in the order of the images?")]
     return []
+
+
+def mask_notes(images: Sequence[Path], mask: Path | None) -> list[tuple[str, str, str]]:
+    """Check, message and suggestion if viewers turn the images but not their mask, which has the same size either way; else an empty
+    list. A mask that was drawn on the turned picture would lie on the wrong pixels, as all are taken as they are stored.
+    """
+    if not images or mask is None:
+        return []
+    of_image, of_mask = (tags_of(path).get(_ORIENTATION, 1) for path in (images[0], mask))
+    if of_image == of_mask or of_image not in _TURNED:
+        return []
+    # Drawn on a picture turned by 90° the mask would have another size, unless it is square.
+    if of_image >= 5 and len(set(_core.image_size(str(mask)))) > 1:
+        return []
+    message = (
+        f"viewers show {images[0].name} {_TURNED[of_image]} by its EXIF data, but not {mask.name}; both are taken as their pixels "
+        "are stored"
+    )
+    return [("mask", message, "was the mask drawn on the turned picture? `malus check --overlay` shows where it lies")]
 
 
 def number_of(value: object) -> float | None:

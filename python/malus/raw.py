@@ -24,8 +24,10 @@ SUFFIXES = frozenset(_core.raw_suffixes)
 IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
-_RECIPE = "linear 1"
+_RECIPE = "linear 2"
 _DNG_NOISE_PROFILE = 51041
+#: Share of the white level from which a sample is clipped, as by default for a pixel (capture.saturation).
+_CLIPPED = 0.995
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,9 @@ def develop(
     """Develop RAW files into `folder`, one floating-point TIFF each; images developed earlier are reused if they are unchanged.
 
     Black and white level come from the files. There is no brightening, no white balance and no rotation; colors are the camera's
-    own. The Bayer pattern is interpolated linearly, so that all images of a station are treated alike. `channel` "red",
-    "green" or "blue" keeps one plane, anything else keeps all. LibRaw clips values that noise puts below the black level.
+    own. The Bayer pattern is interpolated linearly, so that all images of a station are treated alike; what is interpolated from
+    a clipped sample is at the white level, so that it counts as saturated. `channel` "red", "green" or "blue" keeps one plane,
+    anything else keeps all. LibRaw clips values that noise puts below the black level.
     """
     library = extra("rawpy", "rawpy", "developing RAW files", "raw")
     developed = []
@@ -126,7 +129,19 @@ def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = 
         raise _not_raw(path, error) from None
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
-    return np.asarray(pixels, dtype=np.float32) / np.float32(65535)
+    linear = np.asarray(pixels, dtype=np.float32) / np.float32(65535)
+    if linear.ndim == 3 and not half_size:
+        _clip_rims(linear)
+    return linear
+
+
+def _clip_rims(pixels: NDArray[np.float32]) -> None:
+    """Put the pixels beside a clipped sample at the white level, color by color: the rim of a highlight is interpolated from
+    the sample, which is darker than the light was, but is not itself clipped.
+    """
+    clipped = np.pad(pixels >= _CLIPPED, ((1, 1), (1, 1), (0, 0)))
+    rows = clipped[:-2] | clipped[1:-1] | clipped[2:]
+    pixels[rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]] = 1
 
 
 def _noise(path: Path) -> tuple[float | None, float | None]:

@@ -165,7 +165,8 @@ def _readable(
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
     doubts = encoding.doubts(images, description["response"]) + exif.exposure_doubts(images, description["exposure_s"])
-    core = core.with_file_doubts(doubts)
+    mask = description.get("mask")
+    core = core.with_file_doubts(doubts, exif.mask_notes(images, None if mask is None else Path(mask)))
     if not images or not raw.is_raw(images[0]):
         return core
     developed = raw.develop(images, description["channel"], folder, progress)

@@ -37,6 +37,7 @@ CHECKS = {
     "encoding": "Encoding of the image files",
     "curve": "Curve of the image files",
     "exposures": "Exposure times of the image files",
+    "mask": "Orientation of images and mask",
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
     "angles": "Polarizer angles and exposures",

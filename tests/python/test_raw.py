@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 import malus
 from conftest import malus as run_malus
 from conftest import malus_station
 from malus import raw
 from malus._files import sha256_of
-from malus.exif import exposure_doubts
+from malus.exif import exposure_doubts, mask_notes
 from malus.photogrammetry import front_end
 from malus.photogrammetry.photos import describe_photo
 from malus.report import CHECKS
@@ -77,6 +78,19 @@ def test_raw_files_are_linear(station: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(result.phase_rad[inside]), 30, atol=0.3)
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     np.testing.assert_allclose(result.unpolarized[inside], (0.2 + 0.004 * u + 0.003 * v)[inside], atol=1e-3)
+
+
+def test_rims_of_highlights_count_as_saturated(tmp_path: Path) -> None:
+    """A sample that is clipped is darker than the light, and so is every pixel that is interpolated from it."""
+    pytest.importorskip("rawpy")
+    light = np.full(SIZE, 0.3)
+    light[20:25, 30:37] = 1.0
+    write_dng(tmp_path / "pol_000.dng", light)
+    pixels = raw.linear_image(tmp_path / "pol_000.dng")
+    assert np.all((np.abs(pixels - 0.3) < 1e-3) | (pixels == 1) | (pixels >= 0.995))
+    near = pixels[18:27, 28:39]
+    assert np.all(pixels[20:25, 30:37] >= 0.995) and 100 > np.count_nonzero(near[..., 1] >= 0.995) > 35
+    assert np.all(pixels[:17] < 0.4) and np.all(pixels[:, 41:] < 0.4)
 
 
 def test_images_are_developed_again_only_if_their_content_changed(station: Path, tmp_path: Path) -> None:
@@ -212,7 +226,6 @@ def test_settings_that_changed_are_named(station: Path, tmp_path: Path, change: 
 
 
 def test_jpeg_settings_are_compared_too(tmp_path: Path) -> None:
-    from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
     for index, angle in enumerate(ANGLES):
@@ -225,7 +238,6 @@ def test_jpeg_settings_are_compared_too(tmp_path: Path) -> None:
 
 
 def test_exposure_times_of_files_are_compared_with_the_stated_ones(tmp_path: Path) -> None:
-    from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
     images = []
@@ -241,3 +253,22 @@ def test_exposure_times_of_files_are_compared_with_the_stated_ones(tmp_path: Pat
     ((check, message, suggestion),) = exposure_doubts(images, [1, 4, 1, 4, 1])
     assert check in CHECKS and "order of the images" in suggestion
     assert message == "1.jpg was exposed 4 times as long as 0.jpg by what the files say, but 0.25 times by exposure_s"
+
+
+def test_a_mask_that_viewers_do_not_turn_with_the_images_is_noted(tmp_path: Path) -> None:
+    """A mask that was drawn on the turned picture has the same size as the pixels that are stored."""
+    photo, mask, turned = tmp_path / "pol_000.jpg", tmp_path / "mask.png", Image.Exif()
+
+    def noted(orientation: int, size: tuple[int, int], **of_mask: Any) -> list[tuple[str, str, str]]:
+        turned[274] = orientation
+        Image.new("L", size).save(photo, exif=turned)
+        Image.new("L", size).save(mask, **of_mask)
+        return mask_notes([photo], mask)
+
+    ((check, message, suggestion),) = noted(3, (60, 40))
+    assert check in CHECKS and "pol_000.jpg turned by 180°" in message and "mask.png" in message
+    assert "--overlay" in suggestion
+    assert noted(3, (60, 40), exif=turned) == noted(1, (60, 40)) == []
+    assert noted(6, (60, 40)) == [], "a mask drawn on the picture turned by 90° would have 40 x 60 pixels"
+    assert "turned by 90°" in noted(6, (40, 40))[0][1]
+    assert mask_notes([photo], None) == mask_notes([], mask) == []

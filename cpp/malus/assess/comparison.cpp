@@ -5,6 +5,7 @@
 
 #include "malus/assess/comparison_internal.h"
 #include "malus/assess/reference_surface_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 
@@ -45,21 +46,35 @@ bool is_mostly_beyond(const Image<float>& distance, double limit) {
   return 2 * beyond > known;
 }
 
-/// Warns if the reference's cloud is as thick as the reach of its planes. These then turn with the points' noise
-/// towards the place from which the distance is measured. Simulated, with planes through 12 points and a noise of 0.5,
-/// 1 and 2 times the points' spacing: thickness 0.2, 0.4 and 0.5, distances 10, 40 and 70 % too small.
-void warn_of_thick_cloud(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference,
-                         double max_distance, const Context& context) {
-  constexpr double thick = 0.2;
-  std::vector<double> found(points.size(), std::numeric_limits<double>::quiet_NaN());
+/// Warns of a reference's cloud whose points do not determine planes. Where it is as thick as the reach of its planes,
+/// these turn with the points' noise towards the place from which the distance is measured. Simulated, with planes
+/// through 12 points and a noise of 0.5, 1 and 2 times the points' spacing: thickness 0.2, 0.4 and 0.5, distances 10,
+/// 40 and 70 % too small. A line scanner's points may lie so much denser along its lines that all the nearest ones lie
+/// on one: such places are not compared.
+void warn_of_planes(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference, double max_distance,
+                    const Context& context) {
+  constexpr double thick = 0.2, often = 0.25;
+  std::vector<std::optional<Foot>> feet(points.size());
   parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      if (const auto foot = reference.foot(points[i], max_distance); foot && !foot->is_beside)
-        found[i] = foot->thickness;
-    }
+    for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(points[i], max_distance);
   });
-  std::erase_if(found, [](double value) { return std::isnan(value); });
-  if (median_in_place(found) < thick) return;
+  std::vector<double> thickness;
+  double among = 0, on_line = 0;
+  for (const std::optional<Foot>& foot : feet) {
+    if (!foot) continue;
+    if (!foot->is_beside) thickness.push_back(foot->thickness);
+    among += foot->is_among;
+    on_line += foot->is_among && foot->is_on_line;
+  }
+  if (on_line > often * among) {
+    context.log(LogLevel::warning,
+                "the points of the reference lie along lines, as those of a line scanner: at " +
+                    percent(on_line / among) +
+                    " of the places among them the nearest ones lie on one line, determine no plane, and are not "
+                    "compared; expected a mesh, a cloud that is thinned out evenly, or a larger "
+                    "assess.reference_neighbors");
+  }
+  if (median_in_place(thickness) < thick) return;
   context.log(LogLevel::warning,
               "the points of the reference scatter by more than half of their spacing, so that the planes through them "
               "turn with the noise and all distances are too small, by a tenth or far more: expected a mesh, a cloud "
@@ -182,7 +197,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   if (reference.triangles.empty()) {
     std::vector<Eigen::Vector3d> points = spread_points(surface);
     for (Eigen::Vector3d& point : points) point = result.reference_from_surface.apply(point);
-    warn_of_thick_cloud(points, target, max_distance, context);
+    warn_of_planes(points, target, max_distance, context);
   }
   std::vector<double> distances_gsd;
   for (const float distance : result.distance) {

@@ -125,7 +125,7 @@ std::optional<Foot> ReferenceSurface::foot_on_mesh(const Eigen::Vector3d& point,
   // any.
   constexpr double least_cosine = 0.5;
   const bool is_beside = distance > tolerance && normal.squaredNorm() > 0 && std::abs(along) < least_cosine * distance;
-  return Foot{*nearest, normal, along < 0 ? -distance : distance, is_beside, 0};
+  return Foot{*nearest, normal, along < 0 ? -distance : distance, is_beside, 0, false, false};
 }
 
 std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point, double max_distance) const {
@@ -165,8 +165,13 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
   for (const auto& [squared, i] : nearest)
     farthest = std::max(farthest, (points[i] - centre - normal.dot(points[i] - centre) * normal).norm());
   const double along = axes.eigenvalues()[1];
-  return Foot{foot, normal, distance, on_line || (foot - centre).norm() > farthest,
-              along > 0 ? axes.eigenvalues()[0] / along : 0};
+  return Foot{foot,
+              normal,
+              distance,
+              on_line || (foot - centre).norm() > farthest,
+              along > 0 ? axes.eigenvalues()[0] / along : 0,
+              nearest.front().first < farthest * farthest,
+              on_line};
 }
 
 }  // namespace malus

@@ -19,6 +19,10 @@ struct Foot {
   /// Of a cloud: scatter of the nearest points across their plane relative to that along it, as a ratio of variances.
   /// Near 1 the plane has no direction. 0 of a mesh.
   double thickness = 0;
+  /// Of a cloud: the place lies no farther from the nearest points than these reach.
+  bool is_among = false;
+  /// Of a cloud: the nearest points lie along a line, so that they determine no plane.
+  bool is_on_line = false;
 };
 
 /// A reference surface to measure distances from: a mesh, or a cloud if it has no triangles.

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <ranges>
 #include <sstream>
 
@@ -67,21 +68,40 @@ Eigen::Vector2d brown_correction(const std::vector<double>& p, const Eigen::Vect
           y + y * radial + (p2 * (r2 + 2 * y * y) + 2 * p1 * x * y) * tangential};
 }
 
-/// Solves forward(x) = target by Newton's method with central differences, from x = start.
+/// Derivatives of a map, by central differences.
+template <class Forward>
+Eigen::Matrix2d jacobian_of(const Forward& forward, const Eigen::Vector2d& at, double step) {
+  Eigen::Matrix2d jacobian;
+  for (int axis = 0; axis < 2; ++axis) {
+    const Eigen::Vector2d shift = step * Eigen::Vector2d::Unit(axis);
+    jacobian.col(axis) = (forward(at + shift) - forward(at - shift)) / (2 * step);
+  }
+  return jacobian;
+}
+
+/// Solves forward(x) = target by Newton's method, from x = start.
 template <class Forward>
 Eigen::Vector2d invert(const Forward& forward, const Eigen::Vector2d& target, Eigen::Vector2d start, double step) {
   for (int iteration = 0; iteration < 30; ++iteration) {
-    const Eigen::Vector2d residual = forward(start) - target;
-    Eigen::Matrix2d jacobian;
-    for (int axis = 0; axis < 2; ++axis) {
-      const Eigen::Vector2d shift = step * Eigen::Vector2d::Unit(axis);
-      jacobian.col(axis) = (forward(start + shift) - forward(start - shift)) / (2 * step);
-    }
-    const Eigen::Vector2d update = jacobian.inverse() * residual;
+    const Eigen::Vector2d update = jacobian_of(forward, start, step).inverse() * (forward(start) - target);
     start -= update;
     if (update.norm() < 1e-12 * (1 + start.norm())) break;
   }
   return start;
+}
+
+/// Whether a lens sends the ideal point to the measured one, and does not bend back on the way from the center to it:
+/// far out its polynomials do, and Newton's method may end at a point behind, or on the other side of the center.
+template <class Forward>
+bool is_inverse(const Forward& forward, const Eigen::Vector2d& measured, const Eigen::Vector2d& ideal, double step) {
+  constexpr double solved = 1e-9, little = 0.25;
+  constexpr int steps = 8;
+  if (!((forward(ideal) - measured).norm() < solved * (1 + measured.norm()))) return false;
+  if ((ideal - measured).norm() < little * measured.norm()) return true;
+  for (int i = 1; i <= steps; ++i) {
+    if (!(jacobian_of(forward, ideal * (static_cast<double>(i) / steps), step).determinant() > 0)) return false;
+  }
+  return true;
 }
 
 }  // namespace
@@ -145,8 +165,12 @@ Eigen::Vector2d LensCamera::undistort(const Eigen::Vector2d& pixel) const {
         brown_correction(params, {(pixel.x() - k.cx) * pixel_mm, -(pixel.y() - k.cy) * pixel_mm});
     return {ideal.x() / focal_mm, -ideal.y() / focal_mm};
   }
+  constexpr double step = 1e-5;
+  const OpenCvDistortion lens_distortion = opencv_distortion(*this);
   const Eigen::Vector2d measured((pixel.x() - k.cx) / k.fx, (pixel.y() - k.cy) / k.fy);
-  return invert(opencv_distortion(*this), measured, measured, 1e-5);
+  const Eigen::Vector2d ideal = invert(lens_distortion, measured, measured, step);
+  if (is_inverse(lens_distortion, measured, ideal, step)) return ideal;
+  return Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
 }
 
 bool LensCamera::has_distortion() const {

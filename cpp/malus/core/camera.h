@@ -80,7 +80,8 @@ struct LensCamera {
   Eigen::Vector2d project(const Eigen::Vector3d& x_in_cam) const {
     return distort({x_in_cam.x() / x_in_cam.z(), x_in_cam.y() / x_in_cam.z()});
   }
-  /// Ideal direction (x/z, y/z) of a measured pixel; inverts `distort` to 1e-10.
+  /// Ideal direction (x/z, y/z) of a measured pixel; inverts `distort` to 1e-10. NaN at pixels to which the lens sends
+  /// no ray, because its polynomials bend back before.
   Eigen::Vector2d undistort(const Eigen::Vector2d& pixel) const;
   /// Camera of the undistorted raster: same size, focal length and principal point.
   Pinhole pinhole() const;

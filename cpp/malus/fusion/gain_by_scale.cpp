@@ -44,6 +44,7 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
   };
   const auto add_cell = [&](int column, int row, const PixelRect& of_cell) {
     std::vector<Pixel> pixels;
+    pixels.reserve(static_cast<std::size_t>(finest_px * finest_px));
     Cell cell;
     for_each_pixel(of_cell, part.usable, [&](int u, int v) {
       if (!part.object(u, v)) return;

@@ -82,17 +82,21 @@ RawImage read_pixels(const std::filesystem::path& path, const std::string& what,
   return decode(path, what, name, alpha, [&](const codecs::ImageHeader& header) { check_header(header, name); });
 }
 
-/// The colors (1 or 3 channels), none brighter than its pixel is opaque.
-Image<float> over_black(Image<float> pixels) {
-  const int channels = pixels.channels();
-  if (channels % 2 != 0) return pixels;
-  Image<float> colors = Image<float>::uninitialized(pixels.size(), channels - 1);
+/// The brightest color of each pixel, no brighter than the pixel is opaque. NaN, with which floating-point rasters mark
+/// pixels without data, is black.
+Image<float> brightest_over_black(const Image<float>& pixels) {
+  const int channels = pixels.channels(), colors = channels % 2 != 0 ? channels : channels - 1;
+  auto brightest = Image<float>::uninitialized(pixels.size());
   const float* from = pixels.data();
-  float* to = colors.data();
-  for (std::size_t i = 0; i < pixels.size().area(); ++i, from += channels) {
-    for (int c = 0; c + 1 < channels; ++c) *to++ = std::min(from[c], from[channels - 1]);
+  for (float& value : brightest) {
+    value = 0;
+    for (int c = 0; c < colors; ++c) {
+      if (std::abs(from[c]) > std::abs(value)) value = from[c];
+    }
+    if (colors < channels) value = std::min(value, from[colors]);
+    from += channels;
   }
-  return colors;
+  return brightest;
 }
 
 }  // namespace
@@ -138,27 +142,21 @@ Size read_image_size(const std::filesystem::path& path, const std::string& what)
 }
 
 Mask read_mask(const std::filesystem::path& path) {
-  RawImage image = read_pixels(path, "mask", codecs::Alpha::kept);
-  image.pixels = over_black(std::move(image.pixels));
-  // NaN, with which floating-point rasters mark pixels without data, is no object.
-  for (float& value : image.pixels) value = std::isnan(value) ? 0 : value;
-  const auto channels = static_cast<std::size_t>(image.pixels.channels());
+  const Image<float> pixels = brightest_over_black(read_pixels(path, "mask", codecs::Alpha::kept).pixels);
   // Photographs have more gray than the soft edges of a drawn mask, and more values than label images. After JPEG
   // compression, black and white change by less than a tenth of the range.
   constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
   constexpr std::size_t few_values = 16;
-  const float largest = *std::ranges::max_element(image.pixels);
+  const float largest = *std::ranges::max_element(pixels);
   if (!(largest > 0))
     throw input_error(name_of("mask", path) + " is black everywhere, expected white where the object is");
-  const std::size_t pixels = image.pixels.size().area();
   std::size_t grey = 0;
   std::set<float> values;
-  for (std::size_t i = 0; i < pixels; ++i) {
-    const float value = image.pixels[i * channels];
+  for (const float value : pixels) {
     if (values.size() <= few_values) values.insert(value);
     grey += value > black_below * largest && value < white_above * largest;
   }
-  const double grey_share = static_cast<double>(grey) / static_cast<double>(pixels);
+  const double grey_share = static_cast<double>(grey) / static_cast<double>(pixels.count());
   const bool has_soft_edges = values.size() > few_values;
   if (grey_share > largest_grey_share && has_soft_edges) {
     throw input_error(name_of("mask", path) +
@@ -167,11 +165,8 @@ Mask read_mask(const std::filesystem::path& path) {
   }
   // Around an object JPEG compression leaves pixels that are nearly black; a small number in a label image is a label.
   const float black = has_soft_edges ? static_cast<float>(black_below) * largest : 0;
-  Mask mask(image.pixels.size());
-  for (std::size_t i = 0; i < pixels; ++i) {
-    const float* pixel = image.pixels.data() + i * channels;
-    mask[i] = std::any_of(pixel, pixel + channels, [black](float value) { return std::abs(value) > black; }) ? 255 : 0;
-  }
+  Mask mask(pixels.size());
+  for (std::size_t i = 0; i < mask.count(); ++i) mask[i] = std::abs(pixels[i]) > black ? 255 : 0;
   return mask;
 }
 

@@ -7,6 +7,7 @@
 #include <cstring>
 #include <limits>
 #include <optional>
+#include <span>
 #include <sstream>
 #include <utility>
 
@@ -87,10 +88,32 @@ struct Columns {
   }
 };
 
+/// Factor that scales colors of a text to 0 … 255: programs write shares of 1, bytes or numbers of 16 bits.
+double scale_of_colors(std::span<const Eigen::Vector3f> values) {
+  float largest = 0;
+  for (const Eigen::Vector3f& value : values) largest = std::max(largest, value.maxCoeff());
+  return largest <= 1 ? 255 : largest <= 255 ? 1 : 255.0 / 65535;
+}
+
+/// Whether three columns without names are normals and not colors: some numbers are negative, or most of the triples
+/// have length 1. Zeros are black or an unknown normal, and say nothing.
+bool are_normals(std::span<const Eigen::Vector3f> values) {
+  constexpr float rounding = 0.02F;
+  std::size_t known = 0, of_length_1 = 0;
+  for (const Eigen::Vector3f& value : values) {
+    if (value.minCoeff() < 0) return true;
+    const float length = value.norm();
+    known += length > 0;
+    of_length_1 += std::abs(length - 1) < rounding;
+  }
+  return 2 * of_length_1 >= known;
+}
+
 /// Collects points; finds coordinates that are not finite.
 class CloudBuilder {
  public:
-  CloudBuilder(const Columns& columns, double color_scale)
+  /// `color_scale`: nothing where only all colors together show it.
+  CloudBuilder(const Columns& columns, std::optional<double> color_scale)
       : has_normals_(columns.has_three(slot_nx)), has_colors_(columns.has_three(slot_red)), color_scale_(color_scale) {}
 
   void reserve(std::size_t count) {
@@ -107,29 +130,46 @@ class CloudBuilder {
       const Eigen::Vector3d normal(values[slot_nx], values[slot_ny], values[slot_nz]);
       cloud_.normals.push_back(normal.allFinite() ? Eigen::Vector3f(normal.cast<float>()) : Eigen::Vector3f::Zero());
     }
-    if (has_colors_)
-      cloud_.colors.push_back({color(values[slot_red]), color(values[slot_green]), color(values[slot_blue])});
+    if (!has_colors_) return;
+    const Eigen::Vector3d color(values[slot_red], values[slot_green], values[slot_blue]);
+    if (color_scale_) {
+      cloud_.colors.push_back(rgb(color * *color_scale_));
+    } else {
+      unscaled_.push_back(color.allFinite() ? Eigen::Vector3f(color.cast<float>()) : Eigen::Vector3f::Zero());
+    }
   }
 
-  PointCloud finish(const InputFile& file) {
+  /// `may_be_normals`: nothing says whether the columns taken for colors are colors or normals.
+  PointCloud finish(const InputFile& file, bool may_be_normals = false) {
     if (bad_ > 0) {
       throw file.error(std::to_string(bad_) + " of " + std::to_string(cloud_.points.size()) +
                        " points have coordinates that are not finite (NaN or infinite), the first is number " +
                        std::to_string(first_bad_) + ", counted from 0");
     }
     if (cloud_.points.empty()) throw file.error("has no points");
+    if (may_be_normals && are_normals(unscaled_)) {
+      cloud_.normals = std::move(unscaled_);
+    } else if (!unscaled_.empty()) {
+      const double scale = scale_of_colors(unscaled_);
+      cloud_.colors.reserve(unscaled_.size());
+      for (const Eigen::Vector3f& color : unscaled_) cloud_.colors.push_back(rgb(color.cast<double>() * scale));
+    }
     return std::move(cloud_);
   }
 
  private:
-  std::uint8_t color(double value) const {
-    const double scaled = std::round(value * color_scale_);
-    return static_cast<std::uint8_t>(scaled >= 255 ? 255 : scaled > 0 ? scaled : 0);
+  static Rgb rgb(const Eigen::Vector3d& color) {
+    const auto byte = [](double value) {
+      const double rounded = std::round(value);
+      return static_cast<std::uint8_t>(rounded >= 255 ? 255 : rounded > 0 ? rounded : 0);
+    };
+    return {byte(color.x()), byte(color.y()), byte(color.z())};
   }
 
   PointCloud cloud_;
+  std::vector<Eigen::Vector3f> unscaled_;  ///< colors whose scale is not known yet
   bool has_normals_, has_colors_;
-  double color_scale_;
+  std::optional<double> color_scale_;
   std::size_t bad_ = 0, first_bad_ = 0;
 };
 
@@ -414,21 +454,43 @@ std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::
   return columns.has_three(slot_x) ? std::optional(columns) : std::nullopt;
 }
 
-/// Meaning of columns without names, from their number and the first line's values.
+/// Meaning of columns without names, from their number and the first line's values. The last three of six may be
+/// normals, which only all lines show (are_normals).
 Columns columns_of_values(const std::vector<double>& values) {
   Columns columns;
   columns.set_three(slot_x, 0);
+  const auto are_bytes = [&values](std::size_t first) {
+    const auto begin = values.begin() + static_cast<std::ptrdiff_t>(first);
+    return std::all_of(begin, begin + 3, [](double v) { return v >= 0 && v <= 255 && v == std::floor(v); });
+  };
   if (values.size() == 6) {
-    const double square = values[3] * values[3] + values[4] * values[4] + values[5] * values[5];
-    const bool bytes = std::all_of(values.begin() + 3, values.end(),
-                                   [](double v) { return v >= 0 && v <= 255 && v == std::floor(v); });
-    columns.set_three(bytes && square != 1 ? slot_red : slot_nx, 3);
-  } else if (values.size() == 9) {
     columns.set_three(slot_red, 3);
-    columns.set_three(slot_nx, 6);
+  } else if (values.size() == 9) {
+    const bool normals_first = !are_bytes(3) && are_bytes(6);
+    columns.set_three(slot_red, normals_first ? 6 : 3);
+    columns.set_three(slot_nx, normals_first ? 3 : 6);
   }
   return columns;
 }
+
+/// Whether the first of a text's columns numbers the lines, one after the other.
+class LineNumbers {
+ public:
+  void add(double value) {
+    if (lines_ == 0) first_ = value;
+    in_order_ = in_order_ && value == first_ + static_cast<double>(lines_);
+    ++lines_;
+  }
+  bool found() const {
+    constexpr std::size_t few = 10;
+    return in_order_ && lines_ >= few;
+  }
+
+ private:
+  double first_ = 0;
+  std::size_t lines_ = 0;
+  bool in_order_ = true;
+};
 
 /// Whether commas in the line are decimal signs, as programs write them in some countries: the other separators alone
 /// divide it into three words or more, and one of these is two numbers with a comma between them. `words` is reused.
@@ -450,7 +512,9 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
   std::optional<CloudBuilder> builder;
   std::vector<std::string_view> words;
   std::vector<double> values;
-  bool counted = false;
+  LineNumbers numbered;
+  std::size_t columns_there = 0;
+  bool counted = false, named = false;
   for (std::string_view line; file.read_line(line);) {
     if (file.line_number() % records_between_checks == 0) context.check_cancel();
     const bool first = !builder.has_value();
@@ -458,7 +522,8 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     if (file.line_number() == 1 && line.starts_with(byte_order_mark)) line.remove_prefix(byte_order_mark.size());
     if (first && !columns) {
       columns = columns_of_names(line, words);
-      if (columns) continue;
+      named = columns.has_value();
+      if (named) continue;
     }
     if (is_comment(line)) continue;
     split(line, words);
@@ -472,11 +537,20 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     if (has_decimal_commas(line, words)) throw malformed_line(file, line, "numbers with decimal points, not commas");
     if (!columns) columns = columns_of_values(values);
     if (values.size() < columns->count()) throw malformed_line(file, line);
-    if (first) builder.emplace(*columns, 1.0);
+    if (first) {
+      builder.emplace(*columns, std::nullopt);
+      columns_there = values.size();
+    }
     builder->add(columns->point(values));
+    numbered.add(values.front());
   }
   if (!builder) throw file.error("has no points");
-  return builder->finish(file);
+  if (!named && columns_there > 3 && numbered.found()) {
+    throw file.error(
+        "numbers its points in the first column, expected x y z first, or a first line that names the columns, such as "
+        "id x y z");
+  }
+  return builder->finish(file, !named && columns_there == 6);
 }
 
 /// Throws for files that are neither PLY nor text.

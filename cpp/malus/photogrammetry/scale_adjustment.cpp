@@ -56,6 +56,11 @@ void check_marks(std::span<const MarkedView> views, std::span<const PointMark> m
     if (!mark.pixel.allFinite() || !(mark.sigma_px > 0)) {
       throw input_error(name + ": a mark's position or standard deviation is not a positive number");
     }
+    if (!views[mark.view].camera.undistort(mark.pixel).allFinite()) {
+      throw input_error(name + ": the lens of photo " + std::to_string(mark.view) +
+                        " sends no ray to the mark, so far out its distortion bends back: expected marks nearer to the "
+                        "middle, or a lens that is calibrated up to the corners");
+    }
   }
 }
 

@@ -305,7 +305,23 @@ double raster_sigma(double depth, double focal, const PriorOptions& options) {
   return options.sigma ? *options.sigma : options.raster_sigma_gsd * depth / focal;
 }
 
-/// Fills object pixels without a depth by a spline through their surroundings.
+/// Pixels without a depth.
+Mask missing_in(const Image<float>& depth) {
+  Mask missing(depth.size());
+  for (std::size_t i = 0; i < depth.count(); ++i) missing[i] = depth[i] > 0 ? 0 : 255;
+  return missing;
+}
+
+/// Distance of each pixel from the nearest one that has a depth, in px.
+cv::Mat distance_from_known(const Image<float>& depth) {
+  const Mask missing = missing_in(depth);
+  cv::Mat distance;
+  cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+  return distance;
+}
+
+/// Fills object pixels without a depth by a spline through their surroundings. Their sigma grows with the distance from
+/// the rim, because unseen parts may deviate from their surroundings.
 void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options, const Context& context) {
   constexpr int surroundings_px = 8;
   Mask holes(mask.size());
@@ -338,18 +354,63 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
   const Surface surface = smooth_cloud(std::move(points), region, how, options, context);
+  const cv::Mat from_rim = distance_from_known(prior.depth);
   parallel_pixels(context, holes, [&](int u, int v) {
-    const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
+    const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal), gsd = depth / focal;
     prior.depth(u, v) = static_cast<float>(depth);
-    prior.sigma(u, v) = static_cast<float>(std::hypot(
-        raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
+    prior.sigma(u, v) = static_cast<float>(std::hypot(raster_sigma(depth, focal, options),
+                                                      surface.noise * std::sqrt(surface.variance(u, v)) * gsd,
+                                                      options.hole_slope * gsd * from_rim.at<float>(v, u)));
   });
   prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
 
+/// The number that stands for "no depth" in a raster of a program that writes a large one there, such as 65535, 1e6 or
+/// 3.4e38: the largest on the object, if it lies far behind the other depths.
+std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& mask) {
+  constexpr double far = 3;
+  std::vector<float> depths;
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    if (mask[i] != 0 && std::isfinite(depth[i]) && depth[i] > 0) depths.push_back(depth[i]);
+  }
+  if (depths.empty()) return std::nullopt;
+  const float largest = *std::ranges::max_element(depths);
+  std::erase(depths, largest);
+  if (depths.empty() || largest < far * median_in_place(depths)) return std::nullopt;
+  return largest;
+}
+
+/// The depth map with NaN for that number.
+Image<float> without_number(Image<float> depth, float number, const Mask& mask, const Context& context) {
+  std::size_t pixels = 0;
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    if (depth[i] != number) continue;
+    depth[i] = no_value;
+    pixels += mask[i] != 0;
+  }
+  context.log(LogLevel::warning, "prior depth map: " + std::to_string(pixels) +
+                                     " of the object's pixels have the depth " + with_digits(number, 6) +
+                                     ", far behind all others: taken as pixels without a depth; write NaN there");
+  return depth;
+}
+
+/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
+/// over an area. Holes must not be filled yet: their standard deviation is no noise.
+void set_noise(DepthPrior& prior) {
+  // Neighboring pixels of a measured surface share their errors.
+  constexpr double independent_px = 4;
+  std::vector<float> sigmas;
+  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
+  prior.noise = median_in_place(sigmas);
+  prior.spacing_px = independent_px;
+}
+
+enum class Deviation { noise, systematic };
+
 /// Prior of a depth raster in the station view; `source` names it in messages.
-DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, const Pinhole& camera,
-                           const Pose& pose, const Mask& mask, const PriorOptions& options, const Context& context) {
+DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, Deviation deviation,
+                           const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options,
+                           const Context& context) {
   const OpenCvThreads opencv_threads(context.threads);
   DepthPrior prior = empty_prior(camera, pose);
   std::size_t known = 0, elsewhere = 0;
@@ -368,23 +429,12 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
                      std::to_string(options.min_points) + " (" + std::to_string(elsewhere) +
                      " pixels outside the mask have one): check that it and the camera pose are in one frame and unit");
   }
+  prior.spacing_px = 1;
+  if (deviation == Deviation::noise) set_noise(prior);
   fill_holes(prior, mask, options, context);
   prior.points_total = static_cast<double>(known + elsewhere);
   prior.points_used = static_cast<double>(known);
-  prior.spacing_px = 1;
   prior.assumes_sigma = !options.sigma;
-  return prior;
-}
-
-/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
-/// over an area.
-DepthPrior with_noise(DepthPrior prior) {
-  // Neighboring pixels of a measured surface share their errors.
-  constexpr double independent_px = 4;
-  std::vector<float> sigmas;
-  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
-  prior.noise = median_in_place(sigmas);
-  prior.spacing_px = independent_px;
   return prior;
 }
 
@@ -417,13 +467,6 @@ Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
   all.hull_fraction = hull / object;
   all.filled_fraction = missing / object;
   return all;
-}
-
-/// Pixels without a depth.
-Mask missing_in(const Image<float>& depth) {
-  Mask missing(depth.size());
-  for (std::size_t i = 0; i < depth.count(); ++i) missing[i] = depth[i] > 0 ? 0 : 255;
-  return missing;
 }
 
 /// The depths, each pixel without one with that of the nearest pixel that has one.
@@ -503,8 +546,8 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
   warn_if_rounded(mesh.vertices, camera, pose, "prior mesh", context);
-  return with_noise(
-      prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
+  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", Deviation::noise, camera, pose,
+                         mask, options, context);
 }
 
 void require_depth_map(const Image<float>& depth, Size size) {
@@ -517,14 +560,18 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   require_depth_map(depth, camera.size);
-  return with_noise(prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context));
+  const auto of = [&](const Image<float>& known) {
+    return prior_of_raster(known, "prior depth map", Deviation::noise, camera, pose, mask, options, context);
+  };
+  const std::optional<float> number = number_for_no_depth(depth, mask);
+  return number ? of(without_number(depth, *number, mask, context)) : of(depth);
 }
 
 DepthPrior project_prior(const Shape& shape, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
-  return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)), camera, pose,
-                         mask, options, context);
+  return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)),
+                         Deviation::systematic, camera, pose, mask, options, context);
 }
 
 DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,
@@ -558,13 +605,11 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   PriorOptions of_windows = options;
   of_windows.keep_raised = false;
   DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
-  const Mask missing = missing_in(depth);
-  cv::Mat distance;
+  const cv::Mat distance = distance_from_known(depth);
   prior.filled_fraction = measured.filled_fraction;
   prior.hull_fraction = measured.hull_fraction;
   if (is_hull) prior.smoothing_px = 0;
   prior.shares_windows = true;
-  cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_pixels(context, mask, [&](int u, int v) {
     prior.depth(u, v) *= shape(u, v);
     float& value = prior.sigma(u, v);

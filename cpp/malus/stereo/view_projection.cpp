@@ -32,18 +32,22 @@ void ViewProjection::fit_lens(const LensCamera& camera) {
   Eigen::VectorXd right(2 * side * side);
   int n = 0;
   for (int j = 0; j < side; ++j) {
-    for (int i = 0; i < side; ++i, n += 2) {
+    for (int i = 0; i < side; ++i) {
       const Eigen::Vector2d pixel(i * (camera.size.width - 1.0) / (side - 1),
                                   j * (camera.size.height - 1.0) / (side - 1));
       const Eigen::Vector2d ideal = camera.undistort(pixel);
+      if (!ideal.allFinite()) continue;
       const double x = ideal.x(), y = ideal.y(), r2 = ideal.squaredNorm();
       max_r2_ = std::max(max_r2_, 1.05 * r2);
       rows.row(n) << x * r2, x * r2 * r2, x * r2 * r2 * r2, 2 * x * y, r2 + 2 * x * x;
       rows.row(n + 1) << y * r2, y * r2 * r2, y * r2 * r2 * r2, r2 + 2 * y * y, 2 * x * y;
       right[n] = (pixel.x() - cx_) / fx_ - x;
       right[n + 1] = (pixel.y() - cy_) / fy_ - y;
+      n += 2;
     }
   }
+  rows.conservativeResize(n, Eigen::NoChange);
+  right.conservativeResize(n);
   if (!camera.has_distortion()) return;
   // Columns differ in size by powers of the field's radius; scaling makes the system well conditioned.
   const Eigen::VectorXd scale = rows.colwise().norm().cwiseMax(1e-30).cwiseInverse();

@@ -248,6 +248,23 @@ TEST(Comparison, ReportsAReferenceCloudWhoseNoiseExceedsItsSpacing) {
   EXPECT_NE(of_coarse.find("more than half of their spacing"), std::string::npos) << of_coarse;
 }
 
+TEST(Comparison, ReportsAReferenceCloudOfDistantLines) {
+  const TriangleMesh all = mesh_of(wavy(0));
+  const auto said_of = [&](std::size_t rows_apart) {
+    TriangleMesh lines;
+    for (std::size_t i = 0; i < all.vertices.points.size(); ++i) {
+      if (i / 160 % rows_apart == 0) lines.vertices.points.push_back(all.vertices.points[i]);
+    }
+    std::string said;
+    Context context;
+    context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+    compare_with_reference(wavy(gsd), lines, gsd, {}, context);
+    return said;
+  };
+  EXPECT_TRUE(said_of(3).empty()) << said_of(3);
+  EXPECT_NE(said_of(12).find("along lines"), std::string::npos) << said_of(12);
+}
+
 TEST(Comparison, IcpUndoesAKnownMotionAndIsOffByDefault) {
   const FusedSurface surface = wavy(0);
   TriangleMesh reference = mesh_of(surface);

@@ -47,6 +47,17 @@ INSTANTIATE_TEST_SUITE_P(Models, LensCameraTest,
                                          LensModel::radial, LensModel::opencv, LensModel::full_opencv,
                                          LensModel::brown));
 
+TEST(LensCamera, HasNoDirectionWhereItsPolynomialsBendBack) {
+  // r − 0.3 r³ grows up to r = 1.05, where it is 0.70.
+  const LensCamera lens{LensModel::simple_radial, {4000, 3000}, {1000, 2000, 1500, -0.3}};
+  for (const double r : {0.1, 0.6, 0.9, 1.0}) {
+    const Eigen::Vector2d ideal(0.8 * r, -0.6 * r);
+    EXPECT_NEAR((lens.undistort(lens.distort(ideal)) - ideal).norm(), 0, 1e-8) << r;
+  }
+  for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(0, 0), Eigen::Vector2d(3999, 1500), Eigen::Vector2d(2000, 100)})
+    EXPECT_FALSE(lens.undistort(pixel).allFinite()) << pixel.transpose();
+}
+
 TEST(LensCamera, PinholeProjectsLikeTheLensWithoutDistortion) {
   const LensCamera lens{LensModel::opencv, {640, 480}, {500, 510, 320, 240, 0, 0, 0, 0}};
   EXPECT_FALSE(lens.has_distortion());

@@ -281,6 +281,26 @@ TEST(ImageFile, DistinguishesMasksFromPhotographs) {
       "looks like a photograph");
 }
 
+TEST(ImageFile, AMaskMayBeDrawnInAnyColor) {
+  const TemporaryFolder folder;
+  for (int channel = 0; channel < 3; ++channel) {
+    // White and black with the noise that JPEG adds to them, in one color.
+    Image<std::uint8_t> image({60, 40}, 3);
+    for_each_pixel(image.size(), [&](int u, int v) {
+      image(u, v, channel) = static_cast<std::uint8_t>(u > 20 ? 240 + v % 15 : v % 12);
+    });
+    write_png(folder / "mask.png", image);
+    const Mask mask = read_mask(folder / "mask.png");
+    EXPECT_EQ(mask(30, 10), 255) << channel;
+    EXPECT_EQ(mask(10, 11), 0) << channel << ": what compression adds to black is no object";
+    for_each_pixel(image.size(),
+                   [&](int u, int v) { image(u, v, channel) = static_cast<std::uint8_t>((7 * u + 5 * v) % 256); });
+    write_png(folder / "photo.png", image);
+    expect_error(
+        ErrorCode::input, [&] { read_mask(folder / "photo.png"); }, "looks like a photograph");
+  }
+}
+
 TEST(ImageFile, TransparentPixelsAreOutsideOfAMask) {
   const TemporaryFolder folder;
   const auto expect_object_at_1 = [&](const char* name) {

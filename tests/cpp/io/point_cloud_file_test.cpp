@@ -177,6 +177,41 @@ TEST(PointCloudFile, ReadsXyzText) {
           "neither PLY nor text");
 }
 
+TEST(PointCloudFile, ColumnsWithoutNamesAreToldByAllLines) {
+  const TemporaryFolder folder;
+  const auto cloud = [&](const std::string& text) { return read_point_cloud(folder.write("a.xyz", text)); };
+  const PointCloud shares = cloud("1 2 3 0.2 0.6 1.0\n4 5 6 0 0 0\n7 8 9 1 0 0.5\n");
+  EXPECT_TRUE(shares.normals.empty()) << "as of Open3D's xyzrgb";
+  ASSERT_EQ(shares.colors.size(), 3u);
+  EXPECT_EQ(shares.colors[0], (Rgb{51, 153, 255}));
+  EXPECT_EQ(shares.colors[2], (Rgb{255, 0, 128}));
+  EXPECT_EQ(cloud("1 2 3 0 0 0\n4 5 6 65535 0 257\n").colors[1], (Rgb{255, 0, 1}));
+  const PointCloud unknown = cloud("1 2 3 0 0 0\n4 5 6 0.6 -0.8 0\n");
+  EXPECT_TRUE(unknown.colors.empty()) << "the first normal is unknown";
+  EXPECT_EQ(unknown.normals[1], Eigen::Vector3f(0.6f, -0.8f, 0));
+  EXPECT_EQ(cloud("1 2 3 0.6 0 0.8\n4 5 6 0 0 0\n7 8 9 0 0.8 0.6\n").normals.size(), 3u) << "none is negative";
+  EXPECT_EQ(cloud("x y z r g b\n1 2 3 0.2 0.6 1\n").colors[0], (Rgb{51, 153, 255}));
+  const PointCloud nine = cloud("1 2 3 0 -1 0 10 20 30\n");
+  EXPECT_EQ(nine.colors[0], (Rgb{10, 20, 30}));
+  EXPECT_EQ(nine.normals[0], Eigen::Vector3f(0, -1, 0));
+}
+
+TEST(PointCloudFile, NumbersOfPointsAreNoCoordinates) {
+  const TemporaryFolder folder;
+  std::string numbered = "", named = "id x y z\n", profile = "";
+  for (int i = 0; i < 12; ++i) {
+    const std::string line = std::to_string(101 + i) + " 7.5 " + std::to_string(i * i) + " 3.25\n";
+    numbered += line;
+    named += line;
+    profile += std::to_string(i) + " 0 2.5\n";
+  }
+  expect_error(
+      ErrorCode::input, [&] { read_point_cloud(folder.write("a.txt", numbered)); }, "a.txt", "first column",
+      "id x y z");
+  EXPECT_EQ(read_point_cloud(folder.write("a.txt", named)).points[3], Eigen::Vector3d(7.5, 9, 3.25));
+  EXPECT_EQ(read_point_cloud(folder.write("a.txt", profile)).points.size(), 12u) << "three columns are coordinates";
+}
+
 TEST(PointCloudFile, CoordinatesThatAreNotFiniteAreCounted) {
   const TemporaryFolder folder;
   PointCloud cloud;

@@ -525,8 +525,35 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   }
   EXPECT_LT(rms_gsd(prior.depth, plane_depth, in_hole), 0.02);
   EXPECT_GT(prior.filled_fraction, 0);
-  EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
+  // The middle of the hole is about five pixels from the nearest depth; the standard slope is 1.
+  const double gsd = prior.depth(50, 40) / focal;
+  EXPECT_GT(prior.sigma(50, 40), 5 * gsd) << "unseen parts may deviate from their surroundings";
+  EXPECT_LT(prior.sigma(50, 40), 8 * gsd);
+  EXPECT_NEAR(prior.noise, prior.depth(60, 45) / focal, 0.1 * gsd) << "what is closed is no noise";
   EXPECT_TRUE(prior.assumes_sigma);
+}
+
+TEST(PriorOfDepthMap, LargeNumbersForNoDepthAreHoles) {
+  for (const float number : {3.4028235e38F, 1e6F, 65535.0F}) {
+    Image<float> depth(test_camera().size);
+    for (int v = 0; v < 90; ++v) {
+      for (int u = 0; u < 120; ++u)
+        depth(u, v) = std::hypot(u - 50, v - 40) < 6 ? number : static_cast<float>(plane_depth(u, v));
+    }
+    std::string said;
+    Context context;
+    context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+    const DepthPrior prior = project_prior(depth, test_camera(), test_pose(), full_mask(), {}, context);
+    EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.02) << number;
+    EXPECT_GT(prior.filled_fraction, 0) << number;
+    EXPECT_NE(said.find("taken as pixels without a depth"), std::string::npos) << said;
+  }
+  // The far part of an object that reaches far back is a part of it.
+  Image<float> deep(test_camera().size);
+  for (int v = 0; v < 90; ++v) {
+    for (int u = 0; u < 120; ++u) deep(u, v) = u < 60 ? 400.0F : 1000.0F;
+  }
+  EXPECT_EQ(project(deep).depth(100, 40), 1000.0F);
 }
 
 TEST(PriorOfCloud, MayLieExactlyInAPlaneParallelToTheSensor) {

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "malus/stereo/view_choice_internal.h"
+#include "malus/stereo/view_projection_internal.h"
 #include "sweep_scenes.h"
 
 namespace malus {
@@ -23,6 +24,16 @@ struct Levels {
   MatchLevel full, half;
   Image<float> log_depth;
 };
+
+TEST(ViewProjection, LeavesOutWhereALensBendsBack) {
+  // To the corners of the photo the lens sends no ray; its polynomial sends points far outside of the view to its
+  // middle.
+  const LensCamera bent{LensModel::simple_radial, {4000, 3000}, {1000, 2000, 1500, -0.3}};
+  const ViewProjection view({{400, 300}, 1000, 1000, 200, 150}, Pose{}, bent, Pose{});
+  EXPECT_LT(view.fit_error_px(), 1e-3);
+  EXPECT_NEAR((view.project(300, 200, 2) - bent.distort({0.1, 0.05})).norm(), 0, 1e-3);
+  EXPECT_LT(view.project(200 + 1800, 150, 2).x(), -1000);
+}
 
 TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndFreesFloatsAtFullSize) {
   Scene scene = make_scene(plane, 4);
