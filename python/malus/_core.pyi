@@ -50,12 +50,14 @@ class Station:
         *,
         images: Sequence[_Float32],
         whole_numbers: bool,
-        camera: _CameraValues,
+        camera: _CameraValues | None,
         tables: str,
         prior_points: _Float64 | None,
         prior_normals: _Float32 | None,
+        prior_triangles: NDArray[np.uint32] | None,
         prior_depth: _Float32 | None,
         mask: _Bytes | None,
+        labels: _Bytes | None,
     ) -> Station: ...
     def describe(self) -> str: ...
     def with_developed(self, images: list[str], full_well_e: float | None, read_noise_e: float | None) -> Station: ...

@@ -53,10 +53,7 @@ toml::array array_of(const ParsedJson& json, const std::string& where) {
 
 }  // namespace
 
-StationFile read_given_station(const std::string& json, std::size_t image_count, const CameraSpec& camera,
-                               bool has_prior) {
-  GivenInMemory given{{}, camera, has_prior};
-  for (std::size_t k = 0; k < image_count; ++k) given.images.push_back("images[" + std::to_string(k) + "]");
+StationFile read_given_station(const std::string& json, const GivenInMemory& given) {
   StationFile station = read_station_tables(table_of(ParsedJson::parse(json), "station: "), "station", &given);
   station.path.clear();
   return station;

@@ -38,9 +38,8 @@ std::string with_count(std::size_t count, const std::string& noun) {
 /// unusable image, response or level.
 void read_images(const Station& station, const Mask& object, const CaptureOptions& options, Plan& plan,
                  const Context& context) {
-  if (station.in_memory()) return;
   const StationFile& file = station.file;
-  const CaptureInput input = capture_input(file.polarized, file.known_lens());
+  const CaptureInput input = make_capture_input(station);
   const ResponseCurve curve = response_curve(file.polarized.response, "response");
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     context.check_cancel();
@@ -168,6 +167,7 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
 
 Plan check_station(const Station& station, const Options& options, const Context& context) {
   context.validate();
+  if (const auto lens = station.file.known_lens()) lens->validate("[camera]");
   Plan plan;
   plan.name = station.file.name;
   plan.size = captured_size(station);
@@ -175,12 +175,11 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = static_cast<double>(count_of_set(object));
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
-  if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
+  if (station.file.optics.label_image || station.labels) require_labels(captured_labels(station), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     if (!station.file.camera) {
-      throw input_error(station.file.path.string() +
-                        ": [camera] has no pose, expected a camera whose position is known");
+      throw input_error(station.file.where() + ": [camera] has no pose, expected a camera whose position is known");
     }
     details["prior"] = with_prior(station, context, PriorCheck{station, object, options.prior, plan, details});
   } else if (!station.file.photos) {

@@ -5,10 +5,14 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/core/image.h"
 #include "malus/station/station.h"
 
 namespace malus {
+
+/// Input that reads the station's files, or its images in memory; the station must outlive it.
+CaptureInput make_capture_input(const Station& station);
 
 /// Size of the polarized images as captured.
 Size captured_size(const Station& station);
@@ -16,9 +20,9 @@ Size captured_size(const Station& station);
 /// Mask of the object in the images as captured; without a mask file, all pixels.
 Mask captured_object(const Station& station, Size size);
 
-/// Label image of the images as captured; empty without one. Input error for the label.png of a run if the lens has
+/// Labels of the images as captured; empty without any. Input error for the label.png of a run if the lens has
 /// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
-Image<std::uint8_t> captured_labels(const StationFile& station);
+Mask captured_labels(const Station& station);
 
 /// A point of the prior projected into the station's camera.
 struct SeenPoint {

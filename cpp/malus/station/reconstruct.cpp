@@ -11,7 +11,7 @@ namespace malus {
 namespace {
 
 Error no_prior(const Station& station) {
-  const std::string where = station.file.path.string();
+  const std::string where = station.file.where();
   if (station.file.photos) {
     return input_error(
         where +

@@ -30,7 +30,7 @@ namespace {
 const CameraSpec& require_camera(const StationFile& file) {
   if (file.camera) return *file.camera;
   throw input_error(
-      file.path.string() +
+      file.where() +
       ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
 }
 
@@ -189,7 +189,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineInput input;
   input.refractive_index = optics.refractive_index;
   input.reflection = optics.reflection;
-  input.labels = labels_in_view(job.station.file, job.context);
+  input.labels = labels_in_view(job.station, job.context);
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),
