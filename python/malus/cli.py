@@ -699,7 +699,9 @@ def _paper(args: argparse.Namespace) -> None:
         of_a_run = ("pixels", "reference", "register", "m3c2", "set", "options", "fusion", "preset", "replace")
         given = [f"--{name}" for name in of_a_run if getattr(args, name)]
         if given:
-            raise InputError(f"{', '.join(given)}: for a station's run, expected no --campaign beside it")
+            raise InputError(
+                f"{', '.join(given)}: --campaign merges finished workspaces and takes no options of a run, expected them with STATION.toml"
+            )
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)
         return

@@ -329,7 +329,8 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     throw table.wrong("black_level", "less than the white level");
   }
   if (std::ranges::any_of(spec.images, is_raw_name)) {
-    refuse(table, {"response", "white_level", "black_level", "mosaic"}, "is not for RAW files, whose metadata say it");
+    refuse(table, {"response", "white_level", "black_level", "mosaic"},
+           "is not for RAW files: their metadata state it");
     if (!std::ranges::all_of(spec.images, is_raw_name)) {
       throw table.error("images", "has RAW files and others, expected one kind");
     }

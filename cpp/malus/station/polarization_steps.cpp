@@ -106,7 +106,7 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
                  Severity::caution,
                  "used without registration: " + std::to_string(count) + " of the " +
                      std::to_string(stack.images.size()) +
-                     " polarized images, as too little in them tells how they lie",
+                     " polarized images, which show too little detail to be aligned",
                  "if the camera did not move, capture.registration = \"off\" says so",
                  {}};
 }
@@ -242,7 +242,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     // display's curve from another's.
     if (finding.check == "encoding" && says_linear(response)) {
       finding.severity = Severity::note;
-      finding.message += "; the light says that this is right";
+      finding.message += "; the measured brightness shows that this is right";
       finding.suggestion.clear();
     }
     of_images.findings.push_back(std::move(finding));

@@ -131,11 +131,11 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
     light = light_from_polarization(state, reflection, known, camera, options.light, job.context);
     if (!known) {
       const std::string assumed = light.of_contour ? "an object whose surface turns away from the view at its outline"
-                                                   : "an object that is convex in the whole";
+                                                   : "an object that is convex as a whole";
       job.context.log(LogLevel::warning,
-                      "the light comes from the polarization alone, for " + assumed +
-                          " and has one albedo; if it is hollow there, the height is upside down: give [optics] light "
-                          "= [x, y, z]");
+                      "the direction of the light is found from the polarization alone, which assumes " + assumed +
+                          ", of one color; if it is hollow instead, the height is upside down: state [optics] light = "
+                          "[x, y, z]");
     }
   } else {
     // The normals are a temporary: they are the largest map, and only the light is estimated from them.
