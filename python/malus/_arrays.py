@@ -84,6 +84,14 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
     return angles
 
 
+def as_zeniths(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Zeniths in radians, of any shape, float64; ValueError for values that look like degrees."""
+    angles = np.asarray(unmasked(values, name), dtype=np.float64)
+    if (np.abs(angles) > 2 * np.pi).any():
+        raise ValueError(f"{name} reaches {np.nanmax(np.abs(angles)):g}, which looks like degrees, expected radians")
+    return angles
+
+
 def as_rows(
     values: ArrayLike, name: str, count: int | None = None, dtype: type[np.generic] = np.float64
 ) -> NDArray[Any]:
@@ -131,3 +139,8 @@ def as_labels(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[n
     if others.size:
         raise ValueError(f"{name} has the value {others[0]}, expected 0 (decide), 1 (diffuse) or 2 (specular)")
     return np.ascontiguousarray(array, np.uint8)
+
+
+def as_reflection(values: str | ArrayLike, shape: tuple[int, ...]) -> tuple[str, NDArray[np.uint8] | None]:
+    """The kind of reflection of all pixels by its name, or "labels" and the label of each pixel (see `as_labels`)."""
+    return (values, None) if isinstance(values, str) else ("labels", as_labels(values, "reflection", shape))

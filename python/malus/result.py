@@ -91,7 +91,7 @@ class Result:
 
         if self.workspace is not None:
             return open_page(write_report(self.workspace))
-        return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
+        return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / "report.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
         """Relief shadings of prior and fused surface, of each only if it exists: title → gray and alpha, at most 480 px wide or high."""
