@@ -8,7 +8,7 @@
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
-#include "malus/polarization/reflection.h"
+#include "malus/polarization/reflection_internal.h"
 #include "words.h"
 
 namespace malus::python {

@@ -1,9 +1,9 @@
-#include "malus/polarization/pixel_curves.h"
-
 #include <algorithm>
 #include <cstddef>
 #include <numbers>
 #include <sstream>
+
+#include "malus/polarization/pixel_curves_internal.h"
 
 namespace malus {
 namespace {

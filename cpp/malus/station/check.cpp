@@ -14,7 +14,7 @@
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/polarization/reflection.h"
+#include "malus/polarization/reflection_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"

@@ -19,7 +19,7 @@ inline LightEstimate light_on_surface(const PolarizationState& state, const Imag
   return estimate_light(state.i_un, normals, valid, camera, options, context);
 }
 
-/// The station's labels in the undistorted view, empty without any. Like the mask they are of the images as captured.
+/// The station's labels in the undistorted view, empty without any. Like the mask they are of the images as taken.
 inline Mask labels_in_view(const Station& station, const Context& context) {
   const Mask labels = captured_labels(station);
   return labels.empty() ? labels : undistorted_mask(labels, station.file.known_lens(), context);
