@@ -581,7 +581,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         shown = (
-            "the cloud upon the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
+            "the cloud on the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
         )
         print(f"picture of {shown}: {picture}")
 
