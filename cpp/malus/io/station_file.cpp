@@ -242,7 +242,7 @@ std::string read_response(const TomlTable& table) {
   if (!std::filesystem::exists(path))
     throw table.wrong("response", "\"linear\", \"srgb\", \"gamma:2.2\" or the file of a lookup table");
   require_file(path, table.where("response"));
-  return path.string();
+  return std::filesystem::absolute(path).string();
 }
 
 /// Exposure times, one per image. Every angle must have the same set of times, so that all merged images have equal
