@@ -245,9 +245,10 @@ void bind_workspace(py::module_& module) {
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();
   });
-  module.def("record_step",
-             [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
-                double seconds) { record_step(folder, step, files, seconds, {}); });
+  module.def("record_step", [](const std::string& folder, const std::string& step,
+                               const std::vector<std::string>& files, double seconds) {
+    record_step(folder, {step, files, seconds}, {});
+  });
 }
 
 void bind_check(py::module_& module) {
@@ -259,7 +260,7 @@ void bind_check(py::module_& module) {
                Context context;
                context.threads = threads;
                py::list times;
-               for (const ExpectedTime& time : expected_times(station, options, until, size, context))
+               for (const ExpectedTime& time : expected_times(station, options, {until, size}, context))
                  times.append(py::make_tuple(time.step, time.seconds));
                return times;
              });

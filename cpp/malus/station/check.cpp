@@ -151,16 +151,15 @@ void warn_of_memory(Plan& plan) {
 
 }  // namespace
 
-std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
-                                         const std::optional<std::string>& until, const std::optional<Size>& known_size,
+std::vector<ExpectedTime> expected_times(const Station& station, const Options& options, const TimedRun& run,
                                          const Context& context) {
   context.validate();
-  const Size size = known_size ? *known_size : captured_size(station);
+  const Size size = run.size ? *run.size : captured_size(station);
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, size, 1e-6 * static_cast<double>(count_of_set(captured_object(station, size))),
                       context.threads};
   std::vector<ExpectedTime> times;
-  for (const Step* step : steps_of_run(step_table(), planned, options, until))
+  for (const Step* step : steps_of_run(step_table(), planned, options, run.until))
     times.push_back({step->name, step->cost(work).seconds});
   return times;
 }

@@ -49,7 +49,7 @@ TEST(Threads, FewerThanOneAreRefused) {
     expect_error(
         ErrorCode::input, [&] { check_station(scaled_station(), Options(), context); }, said);
     expect_error(
-        ErrorCode::input, [&] { expected_times(scaled_station(), Options(), {}, {}, context); }, said);
+        ErrorCode::input, [&] { expected_times(scaled_station(), Options(), {}, context); }, said);
   }
 }
 
@@ -201,7 +201,7 @@ TEST(CheckStation, DoesNotDoubtTheWhiteLevelOfWholeNumbersInMemory) {
 
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
-  const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
+  const auto of_prior = [&] { return expected_times(station, {}, {.until = "prior"}, {}).back().seconds; };
   station.prior = cloud_of(station);
   const double of_cloud = of_prior();
   station.prior = {};
