@@ -75,7 +75,7 @@ def create(person: Person) -> None:
     person.press(page.get_by_role("button", name="Create the station"))
     person.press(page.get_by_role("button", name="Use them"))
     page.locator("#plan", has_text="Ready").wait_for()
-    person.press(page.get_by_role("button", name="Show the coarse surface upon the image"))
+    person.press(page.get_by_role("button", name="Show the coarse surface on the image"))
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
     person.press(page.get_by_role("button", name="Compare direction and zero of the scale with the coarse surface"))
     page.get_by_alt_text("Phase as the coarse surface expects it").wait_for()

@@ -158,7 +158,7 @@ int fail_by_exception() {
   } catch (const std::exception& error) {
     return fail(ErrorCode::resource, std::string("stopped by an error of its own, please report it: ") + error.what());
   } catch (...) {
-    return fail(ErrorCode::resource, "stopped by an error of its own, please report it: of a type that nobody knows");
+    return fail(ErrorCode::resource, "stopped by an error of its own, please report it: of an unknown kind");
   }
 }
 

@@ -26,20 +26,37 @@
 namespace malus::python {
 namespace {
 
-/// A station from arrays. `tables`: JSON, see read_given_station.
-Station station_from_arrays(std::vector<Image<float>>& images, bool whole_numbers, const CameraValues& camera,
-                            const std::string& tables, const std::optional<Array<double>>& prior_points,
+/// A station from arrays; the Python side has checked their shapes. `tables`: JSON, see read_given_station.
+/// `prior_triangles`: of a mesh, whose vertices are `prior_points`.
+Station station_from_arrays(std::vector<Image<float>>& images, bool whole_numbers,
+                            const std::optional<CameraValues>& camera, const std::string& tables,
+                            const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
-                            const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask) {
+                            const std::optional<Array<std::uint32_t>>& prior_triangles,
+                            const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask,
+                            const std::optional<Mask>& labels) {
   Station station;
-  const auto [lens, pose] = to_camera(camera, "camera");
-  station.file = read_given_station(tables, images.size(), CameraSpec{lens, pose}, prior_points || prior_depth);
+  GivenInMemory given{images.size(), images.front().size(), {}, prior_points || prior_depth};
+  if (camera) {
+    const auto [lens, pose] = to_camera(*camera, "camera");
+    given.camera = CameraSpec{lens, pose};
+  }
+  station.file = read_given_station(tables, given);
   if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
   station.images = std::move(images);
   station.whole_numbers = whole_numbers;
-  if (prior_points) station.prior = to_cloud(*prior_points, prior_normals);
-  if (prior_depth) station.prior = *prior_depth;
+  if (prior_triangles) {
+    station.prior = to_mesh(to_cloud(*prior_points), *prior_triangles);
+  } else if (prior_points) {
+    station.prior = to_cloud(*prior_points, prior_normals);
+  } else if (prior_depth) {
+    station.prior = *prior_depth;
+  }
   station.mask = mask;
+  if (labels) {
+    station.file.optics.reflection = ReflectionChoice::labels;
+    station.labels = labels;
+  }
   return station;
 }
 
@@ -102,8 +119,8 @@ py::object map_of(const std::shared_ptr<const T>& of, Map T::*map) {
 }
 
 /// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
-/// another run. `pose`: the camera's pose from the station.
-py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
+/// another run. `station`: of the run.
+py::dict to_dict(const std::shared_ptr<Results>& run, const StationFile& station) {
   const auto surface = run->get<FusedSurface>();
   const auto prior = run->get<DepthPrior>();
   const auto measured = run->get<MeasuredPolarization>();
@@ -126,8 +143,9 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Pose& pose) {
   result["valid"] = map_of(state, &PolarizationState::valid);
   result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
-                     : view  ? py::cast(RasterView{view->camera, pose})
-                             : py::none();
+                     : view && station.known_lens()
+                         ? py::cast(RasterView{view->camera, station.camera ? station.camera->pose : Pose{}})
+                         : py::none();
   result["status"] = surface  ? py::cast(enum_name(surface->status))
                      : report ? py::cast(enum_name(report->status))
                               : py::none();
@@ -173,7 +191,7 @@ void bind_run(py::module_& module) {
           "load", [](const std::string& path) { return Station::load(path); }, WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
-                  py::arg("prior_depth"), py::arg("mask"))
+                  py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"), py::arg("labels"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"), py::arg("notes"))
@@ -201,7 +219,7 @@ void bind_run(py::module_& module) {
         auto results = std::make_shared<Results>();
         run_interruptible(threads, on_progress, on_log,
                           [&](const Context& context) { *results = reconstruct(station, options, run, context); });
-        return to_dict(results, station.file.camera ? station.file.camera->pose : Pose{});
+        return to_dict(results, station.file);
       },
       py::arg("station"), py::arg("options"), py::arg("threads"), py::arg("workspace") = py::none(),
       py::arg("replace") = false, py::arg("until") = py::none(), py::arg("reference") = py::none(),
@@ -231,9 +249,10 @@ void bind_workspace(py::module_& module) {
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();
   });
-  module.def("record_step",
-             [](const std::string& folder, const std::string& step, const std::vector<std::string>& files,
-                const std::string& times) { record_step(folder, step, files, times, {}); });
+  module.def("record_step", [](const std::string& folder, const std::string& step,
+                               const std::vector<std::string>& files, const std::string& times) {
+    record_step(folder, {step, files, times}, {});
+  });
 }
 
 void bind_check(py::module_& module) {
@@ -245,7 +264,7 @@ void bind_check(py::module_& module) {
                Context context;
                context.threads = threads;
                py::list times;
-               for (const ExpectedTime& time : expected_times(station, options, until, size, context))
+               for (const ExpectedTime& time : expected_times(station, options, {until, size}, context))
                  times.append(py::make_tuple(time.step, time.seconds));
                return times;
              });

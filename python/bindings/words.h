@@ -5,7 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/error.h"
 #include "malus/core/fields.h"
+#include "malus/core/reflection_choice.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
@@ -29,6 +31,13 @@ pybind11::object by_fields(const T& value) {
   } else {
     return pybind11::cast(value);
   }
+}
+
+/// Kind of reflection of a name; "labels" only with labels of the pixels. Throws an input error for another name.
+inline ReflectionChoice reflection_choice(const std::string& name, bool has_labels) {
+  const auto choice = enum_value<ReflectionChoice>(name);
+  if (choice && (*choice == ReflectionChoice::labels) == has_labels) return *choice;
+  throw input_error("reflection = \"" + name + "\", expected \"auto\", \"diffuse\" or \"specular\", or labels (H, W)");
 }
 
 }  // namespace malus::python

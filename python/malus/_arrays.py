@@ -84,14 +84,30 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
     return angles
 
 
+def as_zeniths(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Zeniths in radians, of any shape, float64; ValueError for values that look like degrees."""
+    angles = np.asarray(unmasked(values, name), dtype=np.float64)
+    if (np.abs(angles) > 2 * np.pi).any():
+        raise ValueError(f"{name} reaches {np.nanmax(np.abs(angles)):g}, which looks like degrees, expected radians")
+    return angles
+
+
 def as_rows(
     values: ArrayLike, name: str, count: int | None = None, dtype: type[np.generic] = np.float64
 ) -> NDArray[Any]:
-    """The values as an N×3 array of `dtype`, C-contiguous; ValueError for another shape, or if a given `count` is not N."""
-    array = np.ascontiguousarray(values, dtype=dtype)
+    """The values as an N×3 array of `dtype`, C-contiguous; ValueError for masked values, another shape, or if a given `count` is not N."""
+    array = np.ascontiguousarray(unmasked(values, name), dtype=dtype)
     if array.ndim != 2 or array.shape[1] != 3 or (count is not None and len(array) != count):
         raise ValueError(f"{name} has shape {array.shape}, expected ({'N' if count is None else count}, 3)")
     return array
+
+
+def as_triangles(values: ArrayLike, name: str, vertices: int) -> NDArray[np.uint32]:
+    """The values as an M×3 array of indices of `vertices` vertices; ValueError for another shape and for indices of no vertex."""
+    faces = as_rows(values, name, dtype=np.int64)
+    if faces.size and not (faces.min() >= 0 and faces.max() < vertices):
+        raise ValueError(f"{name} has indices from {faces.min()} to {faces.max()}, expected 0 to {vertices - 1}")
+    return faces.astype(np.uint32)
 
 
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
@@ -112,3 +128,19 @@ def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")
     return np.where((array != 0) & (array == array), np.uint8(255), np.uint8(0))  # NaN differs from itself
+
+
+def as_labels(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """H×W kinds of reflection; ValueError for another shape, and for values other than 0 (decide), 1 (diffuse) and 2 (specular)."""
+    array = unmasked(values, name)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    others = array[~np.isin(array, (0, 1, 2))]
+    if others.size:
+        raise ValueError(f"{name} has the value {others[0]}, expected 0 (decide), 1 (diffuse) or 2 (specular)")
+    return np.ascontiguousarray(array, np.uint8)
+
+
+def as_reflection(values: str | ArrayLike, shape: tuple[int, ...]) -> tuple[str, NDArray[np.uint8] | None]:
+    """The kind of reflection of all pixels by its name, or "labels" and the label of each pixel (see `as_labels`)."""
+    return (values, None) if isinstance(values, str) else ("labels", as_labels(values, "reflection", shape))

@@ -53,12 +53,14 @@ class Station:
         *,
         images: Sequence[_Float32],
         whole_numbers: bool,
-        camera: _CameraValues,
+        camera: _CameraValues | None,
         tables: str,
         prior_points: _Float64 | None,
         prior_normals: _Float32 | None,
+        prior_triangles: NDArray[np.uint32] | None,
         prior_depth: _Float32 | None,
         mask: _Bytes | None,
+        labels: _Bytes | None,
     ) -> Station: ...
     def describe(self) -> str: ...
     def with_developed(self, images: list[str], full_well_e: float | None, read_noise_e: float | None) -> Station: ...
@@ -317,6 +319,7 @@ def map_reflection(
     normals: _Float32 | None,
     refractive_index: float,
     reflection: str,
+    labels: _Bytes | None,
     options: str,
     threads: int,
 ) -> ReflectionMap: ...
@@ -385,7 +388,13 @@ def optimize_grid(
     threads: int,
 ) -> FusedSurface: ...
 def refine(
-    state: PolarizationState, prior: DepthPrior, refractive_index: float | None, options: str, threads: int
+    state: PolarizationState,
+    prior: DepthPrior,
+    refractive_index: float | None,
+    reflection: str,
+    labels: _Bytes | None,
+    options: str,
+    threads: int,
 ) -> FusedSurface: ...
 def normals_from_depth(depth: _Float32, camera: Camera, threads: int) -> _Float32: ...
 def mesh_from_depth(surface: FusedSurface, color: _Float32 | None, options: str, threads: int) -> dict[str, Any]: ...

@@ -67,13 +67,15 @@ class _Input:
 
 
 def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
-    """All inputs of the surface: name relative to the station file → file; None for an array.
+    """All inputs of the surface: name relative to the station file (or, for a station made in code, the whole path) → file; None
+    for an array.
 
     InputError if an input is missing or differs from what the run read.
     """
     station = workspace.manifest["station"]
     if not station.get("file"):
-        return dict.fromkeys(workspace.manifest["inputs"])
+        given = workspace.manifest["inputs"].items()
+        return {name: _as_read(Path(name), sha256) if Path(name).is_absolute() else None for name, sha256 in given}
     here = workspace.folder / station.get("file_from_here", "")
     file = here if here.is_file() else Path(station["file"])
     files: dict[str, _Input | None] = {}

@@ -61,7 +61,7 @@ def linearize(
     return _core.linearize(pixels, response, float(black_level), float(white_level))
 
 
-def undistort(image: ArrayLike, camera: Camera, *, threads: int = 1) -> NDArray[np.float32]:
+def undistort(image: ArrayLike, camera: Camera, *, threads: int = ALL_CORES) -> NDArray[np.float32]:
     """The image (H×W) as a camera of the same focal length without distortion sees it; NaN where the image has no data."""
     return _core.undistort(as_image(image, "image"), camera.values(), threads)
 

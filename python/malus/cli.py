@@ -581,7 +581,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         shown = (
-            "the cloud upon the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
+            "the cloud on the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
         )
         print(f"picture of {shown}: {picture}")
 
@@ -699,7 +699,9 @@ def _paper(args: argparse.Namespace) -> None:
         of_a_run = ("pixels", "reference", "register", "m3c2", "set", "options", "fusion", "preset", "replace")
         given = [f"--{name}" for name in of_a_run if getattr(args, name)]
         if given:
-            raise InputError(f"{', '.join(given)}: for a station's run, expected no --campaign beside it")
+            raise InputError(
+                f"{', '.join(given)}: --campaign merges finished workspaces and takes no options of a run, expected them with STATION.toml"
+            )
         for path in malus.merge_campaign(args.campaign, args.output):
             print(path)
         return

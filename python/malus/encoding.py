@@ -145,17 +145,17 @@ def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str, str]]:
     if taken.is_linear:
         return [
             ("encoding",
-             f"images are encoded for a display by what their files say ({files}: {said.source}), but response = \"{response}\" leaves them so",
+             f"images are encoded for a display according to their files ({files}: {said.source}), but response = \"{response}\" takes them as linear",
              f'is response = "{said.response}" right, or can the camera\'s RAW files be developed linearly?')
         ]  # fmt: skip
     if not said.is_linear:
         return [
             ("curve",
-             f"images have another encoding by what their files say ({files}: {said.source}) than response = \"{response}\"",
+             f"images have another encoding according to their files ({files}: {said.source}) than response = \"{response}\"",
              f'is response = "{said.response}" right?')
         ]  # fmt: skip
     return [
         ("encoding",
-         f"images are linear by what their files say ({files}: {said.source}), but response = \"{response}\" bends them",
+         f"images are linear according to their files ({files}: {said.source}), but response = \"{response}\" decodes them",
          'is response = "linear" right?')
     ]  # fmt: skip

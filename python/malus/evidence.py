@@ -1,7 +1,8 @@
 """Checks of images, prior and polarizer against each other, which find wrong inputs before anything is fused.
 
-Every check returns a Finding. Its severity is "error" (the input is certainly wrong), "warning" (a person should look at it) or
-"note" (either no fault was found, or the data cannot decide; the message says which).
+Every check returns a Finding. Its severity is "error" (the input is certainly wrong), "warning" (a person should look at it),
+"caution" (the input is right, but parts of the result are worse for it) or "note" (either no fault was found, or the data
+cannot decide; the message says which).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ __all__ = [
 class Finding:
     """What a check concluded.
 
-    check: which check ("phase", "prior", "size", "order", "response"); severity: "note", "warning" or "error"; message and
+    check: which check ("phase", "prior", "size", "order", "response"); severity: "note", "caution", "warning" or "error"; message and
     suggestion: for people; figures: the numbers on which the message is based, by name.
     """
 

@@ -151,8 +151,8 @@ def exposure_doubts(images: Sequence[Path], exposure_s: Sequence[float] | None) 
         of_files, of_station = seconds / first[1], stated / first[2]
         if max(of_files, of_station) > _ROUNDED * min(of_files, of_station):
             message = (
-                f"{path.name} was exposed {of_files:.3g} times as long as {first[0].name} by what the files say, but "
-                f"{of_station:.3g} times by exposure_s"
+                f"{path.name} was exposed {of_files:.3g} times as long as {first[0].name} according to the files, but "
+                f"{of_station:.3g} times according to exposure_s"
             )
             return [("exposures", message, "is exposure_s in the order of the images?")]
     return []

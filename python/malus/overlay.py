@@ -47,7 +47,7 @@ def draw_overlay(
     high = rows * (panel_height + _HEAD_INCHES) + foot
     drawing = new_drawing(wide, high)
     panels = []
-    for number, title in enumerate((f"{name}: image and mask", "the coarse surface's points upon it")):
+    for number, title in enumerate((f"{name}: image and mask", "the coarse surface's points on it")):
         left = 0.1 + number * (panel_width + 0.1) * beside
         bottom = foot + (1 - number) * (panel_height + _HEAD_INCHES) * (not beside)
         panels.append(drawing.add_axes((left / wide, bottom / high, panel_width / wide, panel_height / high)))

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares, require_noise
+from malus._arrays import (
+    as_angles,
+    as_image,
+    as_intensities,
+    as_mask,
+    as_reflection,
+    as_shares,
+    as_zeniths,
+    require_noise,
+)
 from malus._core import PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -48,13 +57,13 @@ def calibrate(
     images: as for `decompose`. angles_rad: as read off the scale; empty = unknown, which needs five images or more. Returns
     `angles_rad`, `gains` (geometric mean 1), `residual_before` and `residual_after` (RMS, in standard deviations of the
     noise) and `improvement`: of the squared residuals beyond noise, the share that the calibration removes. Images do not
-    determine the polarizer zero (docs/method.md, section 1).
+    determine the polarizer zero (docs/method.md, section 1). Raises ValueError as `decompose` does.
     """
     require_noise(full_well_e, read_noise_e, frames_averaged)
     stack = as_shares(images, "images")
     return _core.fit_polarizer(
         stack,
-        [float(a) for a in angles_rad],
+        as_angles(angles_rad, "angles_rad"),
         as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
@@ -101,13 +110,14 @@ def decompose(
 
 
 def diffuse_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
-    """Degree of linear polarization of diffuse reflection (Eq 6), any shape. InputError unless the index is from 1.05 to 3."""
-    return _core.diffuse_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+    """Degree of linear polarization of diffuse reflection (Eq 6), any shape. InputError unless the index is from 1.05 to 3;
+    ValueError for angles in degrees."""
+    return _core.diffuse_degree(as_zeniths(zenith_rad, "zenith_rad"), refractive_index)
 
 
 def specular_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
-    """Degree of linear polarization of specular reflection (Eq 8), any shape."""
-    return _core.specular_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+    """Degree of linear polarization of specular reflection (Eq 8), any shape. Raises the errors of `diffuse_degree`."""
+    return _core.specular_degree(as_zeniths(zenith_rad, "zenith_rad"), refractive_index)
 
 
 def diffuse_zenith(degree: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
@@ -133,16 +143,18 @@ def map_reflection(
     camera: Camera | None = None,
     prior_normals: ArrayLike | None = None,
     refractive_index: float = 1.5,
-    reflection: str = "auto",
+    reflection: str | ArrayLike = "auto",
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> ReflectionMap:
     """Label pixels diffuse (1) or specular (2) and compute their zenith from the degree.
 
     camera None = orthographic. prior_normals: H×W×3, unit, camera frame, towards the camera; they decide between diffuse
-    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
+    and specular and pick the side of Brewster's angle. reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse,
+    2 = specular, 0 = decide). Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
     """
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
+    name, labels = as_reflection(reflection, state.degree.shape)
     return _core.map_reflection(
-        state, camera, normals, refractive_index, reflection, (options or Options()).to_json(), threads
+        state, camera, normals, refractive_index, name, labels, (options or Options()).to_json(), threads
     )

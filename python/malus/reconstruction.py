@@ -295,7 +295,11 @@ def expected_times(
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
-    width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
+    if first is not None:
+        width, height = size or _core.image_size(str(first))
+    else:
+        camera = description.get("camera", {"width": 0, "height": 0})
+        width, height = camera["width"], camera["height"]
     if _needs_photos(station, until):
         planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
         # The second sweep needs a surface fused with the first one: the steps from polarization to fusion run once in between.

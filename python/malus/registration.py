@@ -96,7 +96,7 @@ def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: Ar
         raise DataError(
             f"no place of the reference stands out: its elevations correlate by {found:.2f} at best (expected more than "
             f"{_LEAST_CORRELATION}) and by {next_best:.2f} at another place. It is another object or in another unit, or its shape "
-            "does not tell turns apart"
+            "looks alike in several directions"
         )
     # From the frame of the plane back to the world frame.
     rotation = frame.T @ best.rotation

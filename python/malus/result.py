@@ -36,9 +36,10 @@ class Result:
 
     depth: H×W float32, z in the station camera, station unit, NaN = none. normals: H×W×3 float32, unit, camera frame (x
     right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth: the
-    coarse surface. camera: the camera of all rasters, with its pose. status: how the fusion ended, on success "converged" for
-    a solver and "done" for the grid transfer. confidence: how far the surface may be trusted. warnings: those of all steps,
-    "<step>: <sentence>". quality: every figure of the report (as quality.json). Fields of steps that were not run are None.
+    coarse surface. camera: the camera of all rasters, with its pose; None for a station without a camera. status: how the
+    fusion ended, on success "converged" for a solver and "done" for the grid transfer. confidence: how far the surface may
+    be trusted. warnings: those of all steps, "<step>: <sentence>". quality: every figure of the report (as quality.json).
+    Fields of steps that were not run are None.
     """
 
     name: str
@@ -90,7 +91,7 @@ class Result:
 
         if self.workspace is not None:
             return open_page(write_report(self.workspace))
-        return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / f"{self.name}.html"))
+        return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / "report.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
         """Relief shadings of prior and fused surface, of each only if it exists: title → gray and alpha, at most 480 px wide or high."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask, as_rows, require_shares
+from malus._arrays import as_image, as_images, as_labels, as_mask, as_rows, as_triangles, require_shares, unmasked
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.capture import BayerPattern
@@ -101,6 +101,15 @@ class ScaleValues(TypedDict, total=False):
     check: bool
 
 
+class ControlValues(TypedDict, total=False):
+    """[[control]]: a point of known coordinates in the world frame, and the pixel [x, y] of the images as taken that shows it."""
+
+    name: str
+    xyz: Required[Sequence[float]]
+    pixel: Required[Sequence[float]]
+    check: bool
+
+
 class Station:
     """A station, from a file (`Station.load`) or from arrays. One from a file can be pickled, for a process that sees the same files:
     there the file is read again.
@@ -113,17 +122,18 @@ class Station:
         self,
         images: Sequence[ArrayLike] | NDArray[Any],
         angles_deg: Sequence[float] | Literal["auto"] | None,
-        camera: Camera,
+        camera: Camera | None,
         *,
         prior_points: ArrayLike | None = None,
         prior_normals: ArrayLike | None = None,
+        prior_mesh: tuple[ArrayLike, ArrayLike] | None = None,
         prior_depth: ArrayLike | None = None,
         prior_sigma: float | None = None,
         mask: ArrayLike | None = None,
         name: str = "station",
         unit: str = "mm",
         refractive_index: float | None = 1.5,
-        reflection: str = "auto",
+        reflection: str | ArrayLike = "auto",
         frames_averaged: int = 1,
         full_well_e: float | None = None,
         read_noise_e: float | None = None,
@@ -133,6 +143,7 @@ class Station:
         patches: Sequence[PatchValues] = (),
         profiles: Sequence[ProfileValues] = (),
         scale: Sequence[ScaleValues] = (),
+        control: Sequence[ControlValues] = (),
         object: Mapping[str, str] | None = None,
     ) -> None:
         """Build a station in code.
@@ -141,32 +152,31 @@ class Station:
         of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
-        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
-        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
-        prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
+        without prior_normals (N×3, out of the object), prior_mesh (vertices N×3, world frame, and triangles M×3 of their
+        indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. The polarization
+        maps and the height from them need neither prior nor camera (None); everything else does. prior_sigma: standard
+        deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
+        reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide), like the mask of the images as taken.
 
-        The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
-        exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
-        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
-        malus.InputError, whose message names tables and keys as for a file.
+        The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
+        channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale`, `control` (points that check the camera's
+        pose, which `Camera.resected` makes from others) and `object` (catalog entries). Relative file names in them start
+        at the current folder. Wrong shapes and masked values raise ValueError; wrong values malus.InputError, whose message
+        names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)
         shape = stack[0].shape[:2]
-        if shape != (camera.height, camera.width):
+        if camera is not None and shape != (camera.height, camera.width):
             raise ValueError(f"images are {shape[1]} x {shape[0]} pixels, camera is {camera.width} x {camera.height}")
-        if sum(given is not None for given in (prior_points, prior_depth, prior)) > 1:
-            raise ValueError("prior_points, prior_depth and prior: more than one is given, expected one of them")
-        points, normals = _oriented_points(prior_points, prior_normals)
-        depth = None if prior_depth is None else as_image(prior_depth, "prior_depth")
-        if depth is not None and depth.shape != shape:
-            raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
+        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, prior, shape)
+        labels = None if isinstance(reflection, str | os.PathLike) else _labels(reflection, optics, shape)
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
             "station": {"name": name, "unit": unit},
             "polarized": {"angles_deg": _angles(angles_deg, len(stack)), **noise, **(polarized or {})},
             "optics": {
                 "refractive_index": "auto" if refractive_index is None else refractive_index,
-                "reflection": reflection,
+                "reflection": reflection if labels is None else "auto",
                 **(optics or {}),
             },
             "object": object,
@@ -174,17 +184,17 @@ class Station:
             "patch": patches,
             "profile": profiles,
             "scale": scale,
+            "control": control,
         }
         has_white = (polarized or {}).get("white_level") is not None
         self._core = _core.Station.from_arrays(
             images=stack,
             whole_numbers=has_white and all(np.asarray(image).dtype.kind in "iu" for image in images),
-            camera=camera.values(),
+            camera=None if camera is None else camera.values(),
             tables=json.dumps(_plain(tables, "station: ")),
-            prior_points=points,
-            prior_normals=normals,
-            prior_depth=depth,
+            **arrays,
             mask=as_mask(mask, shape),
+            labels=labels,
         )
         if not has_white:
             require_shares(stack, "images", "their polarized.white_level")
@@ -249,21 +259,49 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
         return angles_deg
-    angles = np.asarray(angles_deg, dtype=np.float64)
+    angles = np.asarray(unmasked(angles_deg, "angles_deg"), dtype=np.float64)
     if angles.shape != (count,):
         raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles
 
 
-def _oriented_points(
-    points: ArrayLike | None, normals: ArrayLike | None
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
-    if points is None:
+def _labels(reflection: ArrayLike, optics: OpticsValues | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    if optics is not None and "reflection" in optics:
+        raise ValueError("reflection and optics: both state the reflection, expected one of them")
+    return as_labels(reflection, "reflection", shape)
+
+
+def _prior_arrays(
+    points: ArrayLike | None,
+    normals: ArrayLike | None,
+    mesh: tuple[ArrayLike, ArrayLike] | None,
+    depth: ArrayLike | None,
+    other: PriorValues | None,
+    shape: tuple[int, ...],
+) -> dict[str, Any]:
+    """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points.
+
+    other: a file or a shape. ValueError if more than one prior is given.
+    """
+    if sum(given is not None for given in (points, mesh, depth, other)) > 1:
+        raise ValueError("prior_points, prior_mesh, prior_depth, prior: more than one is given, expected one of them")
+    arrays: dict[str, Any] = dict.fromkeys(("prior_points", "prior_normals", "prior_triangles", "prior_depth"))
+    if points is not None:
+        arrays["prior_points"] = as_rows(points, "prior_points")
         if normals is not None:
-            raise ValueError("prior_normals are given without prior_points")
-        return None, None
-    checked = as_rows(points, "prior_points")
-    return checked, None if normals is None else as_rows(normals, "prior_normals", len(checked), np.float32)
+            arrays["prior_normals"] = as_rows(normals, "prior_normals", len(arrays["prior_points"]), np.float32)
+    elif normals is not None:
+        raise ValueError("prior_normals are given without prior_points")
+    if mesh is not None:
+        if len(mesh) != 2:
+            raise ValueError(f"prior_mesh has {len(mesh)} parts, expected vertices (N, 3) and triangles (M, 3)")
+        arrays["prior_points"] = as_rows(mesh[0], "prior_mesh[0]")
+        arrays["prior_triangles"] = as_triangles(mesh[1], "prior_mesh[1]", len(arrays["prior_points"]))
+    if depth is not None:
+        arrays["prior_depth"] = as_image(depth, "prior_depth")
+        if arrays["prior_depth"].shape != shape:
+            raise ValueError(f"prior_depth has shape {arrays['prior_depth'].shape}, expected {shape}")
+    return arrays
 
 
 def _plain(value: Any, where: str) -> Any:

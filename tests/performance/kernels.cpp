@@ -25,7 +25,7 @@
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/linalg/grid_solver_internal.h"
 #include "malus/polarization/decompose_internal.h"
-#include "malus/polarization/reflection.h"
+#include "malus/polarization/reflection_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/visible_points_internal.h"
 #include "malus/stereo/surface_sweep_internal.h"

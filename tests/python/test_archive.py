@@ -17,6 +17,7 @@ import tifffile
 import malus
 from conftest import edit
 from conftest import malus as run_malus
+from malus.archive import _inputs
 
 bagit = pytest.importorskip("bagit")
 rocrate = pytest.importorskip("rocrate.rocrate")
@@ -155,3 +156,27 @@ def test_a_changed_object_description_recomputes_nothing(small_station: Path, tm
     edit(small_station, "maker =", "makr =")
     outcome = run_malus("check", small_station)
     assert outcome.code == 2 and "[object].makr" in outcome.err and "maker" in outcome.err
+
+
+def test_files_that_a_station_made_in_code_names_are_inputs(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They were called arrays, and left out."""
+    said = malus.Station.load(small_station).describe()
+    images = [tifffile.imread(path) for path in said["images"]]
+    camera = malus.Camera(**said["camera"])
+    monkeypatch.chdir(small_station.parent)
+    station = malus.Station(
+        images, said["angles_deg"], camera, polarized={"white_level": 16383}, prior={"cloud": "dense/cloud.ply"}
+    )
+    monkeypatch.chdir(tmp_path)
+    malus.reconstruct(station, until="prior", workspace=tmp_path / "work", threads=1)
+    inputs = _inputs(malus.Workspace(tmp_path / "work"))
+    clouds = [file for name, file in inputs.items() if name.endswith("dense/cloud.ply")]
+    assert len(clouds) == 1 and clouds[0] is not None
+    assert clouds[0].path.samefile(small_station.parent / "dense/cloud.ply")
+    assert inputs["images[0]"] is None and len(inputs) == 7
+    with (small_station.parent / "dense/cloud.ply").open("ab") as cloud:
+        cloud.write(b"0")
+    with pytest.raises(malus.InputError, match="was changed since the surface was made from it"):
+        _inputs(malus.Workspace(tmp_path / "work"))

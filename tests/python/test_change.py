@@ -151,7 +151,7 @@ def test_a_folder_that_holds_a_workspace_is_not_replaced(dates: tuple[Path, Path
 
 
 def test_same_frame_refuses_surfaces_in_different_frames(dates: tuple[Path, Path], tmp_path: Path) -> None:
-    with pytest.raises(malus.DataError, match="does not lie upon"):
+    with pytest.raises(malus.DataError, match="does not lie on that of"):
         malus.compare(*dates, tmp_path / "elsewhere", same_frame=True)
     assert not (tmp_path / "elsewhere").exists()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import shlex
 import shutil
@@ -15,6 +16,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+import malus
 from conftest import (
     PATCH,
     TINY_PATCH,
@@ -301,3 +303,12 @@ def test_troubleshooting_quotes_messages_that_exist() -> None:
     assert len(quotes) > 8
     missing = [quote for quote in quotes if any(part.strip() not in sources for part in re.split(r"…", quote))]
     assert not missing
+
+
+def test_the_python_reference_has_every_public_name() -> None:
+    text = (ROOT / "docs/reference/python.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"^        - (\w+)$", text, re.MULTILINE))
+    modules = set(re.findall(r"^::: malus\.(\w+)$", text, re.MULTILINE))
+    of_steps = {name for name in malus.__all__ if inspect.ismodule(getattr(malus, name))} - {"photogrammetry"}
+    assert of_steps <= modules
+    assert names == set(malus.__all__) - of_steps - {"photogrammetry", "__version__"}

@@ -117,7 +117,7 @@ def with_profile(small_station: Path) -> Path:
 def test_check_reports_a_contradicting_profile(with_profile: Path, tmp_path: Path) -> None:
     outcome = malus("check", with_profile, cwd=tmp_path)
     assert outcome.code == 0, outcome.err
-    assert "images are encoded for a display by what their files say" in outcome.out
+    assert "images are encoded for a display according to their files" in outcome.out
     edit(with_profile, "[polarized]", '[polarized]\nresponse = "gamma:2.2"')
     assert "encoded for a display" not in malus("check", with_profile, cwd=tmp_path).out
 
@@ -127,6 +127,6 @@ def test_a_profile_does_not_overrule_the_response_found_in_the_images(with_profi
     outcome = malus("run", with_profile, "-o", work, "--fusion", "grid")
     assert outcome.code == 0, outcome.err
     findings = (work / "evidence/findings.json").read_text()
-    assert "images are encoded for a display by what their files say" in findings
-    assert "the light says that this is right" in findings
+    assert "images are encoded for a display according to their files" in findings
+    assert "the measured brightness shows that this is right" in findings
     assert "encoded for a display" not in io.StringIO(outcome.err).read()

@@ -180,7 +180,9 @@ def test_invalid_pixels_are_named(small_station: Path, tmp_path: Path) -> None:
     with_campaign = ("paper", "--campaign", tmp_path, "-o", tmp_path / "all")
     for words in (("--pixels", "1,1"), ("--reference", tmp_path / "scan.ply"), ("--set", "grid.grid_px=8")):
         outcome = run_malus(*with_campaign, *words)
-        assert outcome.code == 2 and f"{words[0]}: for a station's run" in " ".join(outcome.err.split()), outcome.err
+        assert outcome.code == 2 and f"{words[0]}: --campaign merges finished workspaces" in " ".join(
+            outcome.err.split()
+        ), outcome.err
 
 
 def test_tables_agree_with_quality_json(paper_work: Path) -> None:

@@ -252,7 +252,10 @@ def test_exposure_times_of_files_are_compared_with_the_stated_ones(tmp_path: Pat
     assert exposure_doubts(images, None) == exposure_doubts([], [1.0]) == []
     ((check, message, suggestion),) = exposure_doubts(images, [1, 4, 1, 4, 1])
     assert check in CHECKS and "order of the images" in suggestion
-    assert message == "1.jpg was exposed 4 times as long as 0.jpg by what the files say, but 0.25 times by exposure_s"
+    assert (
+        message
+        == "1.jpg was exposed 4 times as long as 0.jpg according to the files, but 0.25 times according to exposure_s"
+    )
 
 
 def test_a_mask_that_viewers_do_not_turn_with_the_images_is_noted(tmp_path: Path) -> None:

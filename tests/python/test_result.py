@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import pickle
 import re
 from dataclasses import replace
@@ -81,6 +82,18 @@ def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) ->
         malus.write_report(result)
 
 
+def test_show_opens_the_report_whatever_the_name(
+    result: malus.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name with a slash was taken for a folder that does not exist."""
+    opened: list[str] = []
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) is None)
+    monkeypatch.setattr("malus.report.write_report", lambda _, page: page.with_suffix("").touch() or page)
+    page = replace(result, name="left / right").show()
+    assert page.with_suffix("").exists() and opened == [page.resolve().as_uri()]
+
+
 def test_result_of_another_process_has_its_rasters_only(result: malus.Result) -> None:
     sent = pickle.loads(pickle.dumps(result))
     np.testing.assert_array_equal(sent.depth, result.depth)
@@ -119,6 +132,11 @@ def test_distorted_cameras_are_refused_for_maps(scene: synthetic.Scene) -> None:
 def test_angles_in_degrees_are_refused(images: list[np.ndarray], sensor: synthetic.Sensor) -> None:
     with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*degrees"):
         malus.polarization.decompose(images, [0, 30, 60, 90, 120, 150])
+    with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*degrees"):
+        malus.polarization.calibrate(images, [0, 30, 60, 90, 120, 150])
+    for degree in (malus.polarization.diffuse_degree, malus.polarization.specular_degree):
+        with pytest.raises(ValueError, match="zenith_rad reaches 30, which looks like degrees"):
+            degree([0.5, np.nan, 30])
     turned = malus.polarization.decompose(images, np.deg2rad(sensor.angles_deg) + np.pi)
     assert turned.valid.any()
 
@@ -146,7 +164,11 @@ def test_fewer_threads_than_one_are_refused(
 def test_all_cores_by_default() -> None:
     assert ALL_CORES >= 1
     assert malus.reconstruct.__kwdefaults__["threads"] == ALL_CORES
-    assert malus.polarization.decompose.__kwdefaults__["threads"] == ALL_CORES
+    steps = ("polarization", "capture", "prior", "evidence", "height", "fusion", "surface", "assess", "stereo")
+    functions = [value for step in steps for value in vars(getattr(malus, step)).values() if inspect.isfunction(value)]
+    threads = [inspect.signature(function).parameters.get("threads") for function in functions]
+    defaults = [parameter.default for parameter in threads if parameter is not None]
+    assert len(defaults) > 20 and set(defaults) == {ALL_CORES}
 
 
 def test_glossary_defines_each_term_in_a_sentence() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 
 import malus
 from malus import _core, reconstruction
-from malus.station import OpticsValues, PolarizedValues, ProfileValues
+from malus import station as tables
 
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
@@ -101,16 +102,6 @@ def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
 
 
-def test_types_for_editors_have_every_field_of_the_library(pictures: list[np.ndarray]) -> None:
-    described = in_memory(pictures).describe()
-    typed = PolarizedValues.__annotations__.keys() | OpticsValues.__annotations__.keys()
-    given_otherwise = {"images", "angles_deg", "mask", "label_image"}
-    others = {"name", "unit", "image_count", "object", "prior", "prior_scale", "files", "camera"}
-    others |= {"control", "control_image", "patches", "profiles", "scale"}
-    assert typed == described.keys() - given_otherwise - others
-    assert ProfileValues.__annotations__.keys() == described["profiles"][0].keys()
-
-
 @pytest.mark.parametrize("kind", [np.uint8, np.float32])
 def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], tmp_path: Path, kind: type) -> None:
     pictures = [picture.astype(kind) for picture in pictures]
@@ -185,6 +176,8 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         ({"patches": [{"box": [0, 0, 60, 3]}]}, r"\[\[patch\]\] 1.box.*60 x 40"),
         ({"profiles": [{"from": [0, 0]}]}, r"\[\[profile\]\] 1.to"),
         ({"scale": [{"distance": 3}]}, r"needs \[photos\]"),
+        ({"control": [{"xyz": [0, 0, 100]}]}, r"\[\[control\]\] 1.pixel: is missing"),
+        ({"control": [{"xyz": [0, 0, 100], "pixel": [60, 0]}]}, r"point 1 has pixel = \[60, 0\].*60 x 40"),
         ({"object": {"tittle": "x"}}, r"\[object\].tittle"),
         ({"prior": {"cloud": "no.ply"}}, r"no\.ply"),
         ({"prior": {"sphere": {"center": [0, 0, 9], "radius": 3}}}, r"\[prior\].sigma.*is missing.*from the sphere"),
@@ -209,6 +202,12 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
         ({"prior_normals": np.zeros((3, 3))}, "without prior_points"),
         ({"prior_points": np.zeros((3, 3)), "prior_normals": np.zeros((2, 3))}, r"prior_normals has shape \(2, 3\)"),
         ({"prior_points": np.zeros((3, 3)), "prior": {"mesh": "x.ply"}}, "more than one is given"),
+        ({"prior_mesh": (np.zeros((3, 3)), [[0, 1, 3]])}, r"prior_mesh\[1\] has indices from 0 to 3, expected 0 to 2"),
+        ({"prior_mesh": np.zeros((4, 3, 3))}, "prior_mesh has 4 parts, expected vertices"),
+        ({"prior_points": np.ma.masked_equal(np.eye(3), 1)}, "prior_points has masked values"),
+        ({"reflection": np.ones((3, 3))}, r"reflection has shape \(3, 3\), expected \(40, 60\)"),
+        ({"reflection": np.full(SIZE, 3)}, r"reflection has the value 3, expected 0 \(decide\)"),
+        ({"reflection": np.ones(SIZE), "optics": {"reflection": "auto"}}, "both state the reflection"),
     ],
 )
 def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
@@ -219,7 +218,12 @@ def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes
 def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
     plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
     depth = np.full((40, 60), 200.0)
-    priors: list[dict[str, Any]] = [{"prior": plane}, {"prior_depth": depth, "prior_sigma": 0.5}]
+    corners = np.array([[-90, -90, 200], [90, -90, 200], [90, 90, 200], [-90, 90, 200]])
+    priors: list[dict[str, Any]] = [
+        {"prior": plane},
+        {"prior_depth": depth, "prior_sigma": 0.5},
+        {"prior_mesh": (corners, [[0, 2, 1], [0, 3, 2]]), "prior_sigma": 0.5},
+    ]
     for prior in priors:
         station = in_memory(pictures, **prior)
         assert station.describe()["prior_sigma"] == 0.5
@@ -280,8 +284,65 @@ def test_labels_are_of_the_image_as_taken(pictures: list[np.ndarray], tmp_path: 
     labels[:, :10] = 1
     Image.fromarray(labels).save(tmp_path / "labels.png")
     camera = malus.Camera("SIMPLE_RADIAL", SIZE[1], SIZE[0], [40.0, 29.5, 19.5, -0.3])
-    station = malus.Station(pictures, np.repeat(ANGLES, 2), camera, **WORDS, reflection=str(tmp_path / "labels.png"))
-    malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="zenith", workspace=tmp_path / "w")
-    found = np.asarray(Image.open(tmp_path / "w/polarization/label.png"))
-    # Column 7 of the undistorted view shows column 9.1 of the image, column 8 shows 9.9.
-    assert list(found[20, 6:10]) == [1, 1, 2, 2]
+    options = malus.Options(capture={"registration": "off"})
+    for k, reflection in enumerate((str(tmp_path / "labels.png"), labels)):
+        station = malus.Station(pictures, np.repeat(ANGLES, 2), camera, **WORDS, reflection=reflection)
+        malus.reconstruct(station, options, until="zenith", workspace=tmp_path / f"w{k}")
+        found = np.asarray(Image.open(tmp_path / f"w{k}/polarization/label.png"))
+        # Column 7 of the undistorted view shows column 9.1 of the image, column 8 shows 9.9.
+        assert list(found[20, 6:10]) == [1, 1, 2, 2]
+
+
+def test_control_points_check_the_camera_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:
+    points: list[Any] = [
+        {"name": "A", "xyz": [0, 0, 100], "pixel": [29.5, 19.5]},
+        {"xyz": np.array([10, 0, 100]), "pixel": (54.5, 19.5), "check": True},
+    ]
+    station = in_memory(pictures, control=points)
+    image = station.describe()["control_image"]
+    assert image["use"] == "check"
+    assert [(point["name"], round(point["du_px"], 6)) for point in image["points"]] == [("A", 0), ("2", 5)]
+    warnings = malus.check(station, threads=1)["warnings"]
+    assert any("[[control]] 2: its mark lies 5" in warning for warning in warnings)
+
+
+def test_polarization_needs_no_camera(pictures: list[np.ndarray]) -> None:
+    def station(camera: malus.Camera | None, **changes: Any) -> malus.Station:
+        return malus.Station(pictures, np.repeat(ANGLES, 2), camera, **{**WORDS, **changes})
+
+    options = malus.Options(capture={"registration": "off"})
+    found, expected = (
+        malus.reconstruct(station(camera), options, until="polarization", threads=1) for camera in (None, CAMERA)
+    )
+    np.testing.assert_array_equal(found.degree, expected.degree)
+    assert found.camera is None and expected.camera == CAMERA
+    with pytest.raises(malus.InputError, match=r"station: camera: is missing, expected \[camera\]"):
+        station(None, prior_depth=np.ones(SIZE))
+    with pytest.raises(malus.InputError, match=r"\[\[patch\]\] 1.box.*60 x 40"):
+        station(None, patches=[{"box": [0, 0, 60, 3]}])
+    with pytest.raises(malus.InputError, match=r"^station station: \[prior\] is missing"):
+        malus.reconstruct(station(CAMERA), options, threads=1)
+
+
+def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
+    with pytest.raises(malus.InputError, match="angles_deg: all angles lie within 6.3°.*radians"):
+        malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
+
+
+def test_types_of_tables_have_the_keys_of_the_station_file() -> None:
+    """Keys of docs/station-file.md, which are those of the parser; those of files and photos are for station files only."""
+    text = (Path(__file__).parents[2] / "docs/station-file.md").read_text(encoding="utf-8")
+    types: dict[str, tuple[Any, set[str]]] = {
+        "[polarized]": (tables.PolarizedValues, {"images", "angles_deg", "angle_pattern", "mask"}),
+        "[optics]": (tables.OpticsValues, set()),
+        "[prior]": (tables.PriorValues, set()),
+        "[[scale]]": (tables.ScaleValues, {"a", "b", "targets", "targets_dictionary"}),
+        "[[control]]": (tables.ControlValues, {"marks"}),
+        "[[patch]]": (tables.PatchValues, set()),
+        "[[profile]]": (tables.ProfileValues, set()),
+    }
+    sections = {part.split()[0]: part for part in text.split("\n## ")[1:]}
+    for name, (typed, of_files) in types.items():
+        rows = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", sections[name], re.MULTILINE)
+        keys = {key for row in rows for key in re.findall(r"\w+", row)}
+        assert keys == set(typed.__annotations__) | of_files, name

@@ -188,6 +188,30 @@ def test_fusions_on_arrays(dome: Dome) -> None:
     assert by_grid is not together and not np.array_equal(by_grid.depth, together.depth)
 
 
+def test_a_stated_reflection_on_arrays(dome: Dome) -> None:
+    """A name for all pixels or a label for each; the dome is matte, so that a mirroring one explains nothing."""
+    labels = np.ones(dome.state.degree.shape, np.int64)
+    half = np.where(np.arange(96) < 48, 2, labels)
+    found = malus.polarization.map_reflection(dome.state, reflection=half)
+    usable = dome.state.valid == 255
+    np.testing.assert_array_equal(found.label[usable], half[usable])
+    v, u = np.mgrid[:96, :96].astype(float)
+    prior = malus.prior.project_depth(800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2, dome.camera)
+    options = malus.Options(refine={"lobe": False, "surroundings": False})
+    diffuse, labeled, specular = (
+        malus.fusion.refine(dome.state, prior, reflection=reflection, options=options, threads=2).depth
+        for reflection in ("diffuse", labels, "specular")
+    )
+    np.testing.assert_allclose(labeled, diffuse, rtol=1e-6)
+    assert dome.detail_gsd(diffuse) < 0.5 * dome.detail_gsd(prior.depth)
+    assert dome.detail_gsd(specular) > 1.5 * dome.detail_gsd(diffuse)
+    for step in (malus.polarization.map_reflection, lambda state, **given: malus.fusion.refine(state, prior, **given)):
+        with pytest.raises(malus.InputError, match='reflection = "matte", expected "auto"'):
+            step(dome.state, reflection="matte")
+        with pytest.raises(ValueError, match=r"reflection has shape \(3, 3\), expected \(96, 96\)"):
+            step(dome.state, reflection=np.ones((3, 3)))
+
+
 def test_mesh_and_assessment_on_arrays() -> None:
     camera = Camera("PINHOLE", 40, 30, [400.0, 400.0, 19.5, 14.5])
     u = np.indices((30, 40))[1].astype(float)

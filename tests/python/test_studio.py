@@ -986,7 +986,7 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     page.locator("#plan", has_text="Ready").wait_for()
     assert page.get_by_label("This station's name in the model").input_value() == "station.jpg"
     assert 'cloud = "dense/cloud.ply"' in station.read_text()
-    page.get_by_role("button", name="Show the coarse surface upon the image").click()
+    page.get_by_role("button", name="Show the coarse surface on the image").click()
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
     page.get_by_role("button", name="Compare direction and zero of the scale with the coarse surface").click()
     page.get_by_alt_text("Phase as the coarse surface expects it").wait_for()

@@ -375,7 +375,7 @@ def test_a_preview_of_another_folder_is_not_shown(page: Any) -> None:
 
 
 def test_the_surface_shown_upon_the_image_is_that_of_the_station_file(page: Any, station: Path) -> None:
-    show = page.get_by_role("button", name="Show the coarse surface upon the image")
+    show = page.get_by_role("button", name="Show the coarse surface on the image")
     show.click()
     page.locator("#overlay-note", has_text="Yellow is near").wait_for()
     cameras = page.get_by_label("Cameras (COLMAP model)")

@@ -21,7 +21,7 @@ void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const C
   const double median_gsd = percentiles({surface.sigma.count(), sigma, context}, 1, {0.5})[0] /
                             ground_sampling_distance(surface.depth, surface.camera, context);
   if (std::isnan(median_gsd)) {
-    confidence.limit(ConfidenceLevel::partial, "How unsure the surface is, is not known.");
+    confidence.limit(ConfidenceLevel::partial, "The surface's standard deviation is not known.");
   } else if (!(median_gsd <= unknown_gsd)) {
     confidence.limit(ConfidenceLevel::low, "The surface is unsure by " + std::to_string(std::lround(median_gsd)) +
                                                " times the ground sampling distance in the median.");

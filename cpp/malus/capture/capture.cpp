@@ -30,6 +30,18 @@ struct Exposures {
   bool color = false;
 };
 
+/// For programs that embed the library: files and Python's arrays are checked before.
+void check_exposures(const PolarizedSpec& spec, std::size_t images) {
+  const std::vector<double>& times = *spec.exposure_s;
+  if (spec.mosaic || !spec.angles_deg) throw input_error("exposure_s needs known angles, one per image");
+  if (times.size() != images) {
+    throw input_error("exposure_s has " + std::to_string(times.size()) + " times for " + std::to_string(images) +
+                      " images, expected one for each");
+  }
+  if (!std::ranges::all_of(times, [](double time) { return time > 0 && std::isfinite(time); }))
+    throw input_error("exposure_s must be positive");
+}
+
 void check_input(const CaptureInput& input) {
   const PolarizedSpec& spec = input.polarized;
   if (input.names.empty()) throw input_error("no polarized images");
@@ -41,6 +53,8 @@ void check_input(const CaptureInput& input) {
     throw input_error("angles_deg has " + std::to_string(spec.angles_deg->size()) + " angles for " +
                       std::to_string(input.names.size()) + " images");
   }
+  if (spec.exposure_s) check_exposures(spec, input.names.size());
+  if (input.lens) input.lens->validate("[camera]");
   if (spec.frames_averaged < 1) {
     throw input_error("frames_averaged = " + std::to_string(spec.frames_averaged) + ", expected 1 or more");
   }

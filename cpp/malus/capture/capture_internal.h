@@ -20,7 +20,7 @@ struct CaptureInput {
   std::vector<std::string> names;  ///< of the images, for messages; one per image
   std::function<RawImage(std::size_t index)> load;  ///< called by several threads at once
   std::optional<LensCamera> lens;                   ///< camera of the first image; nothing = no undistortion
-  std::optional<Mask> mask;                         ///< of the first image as captured, non-zero = object
+  std::optional<Mask> mask;                         ///< of the first image as taken, non-zero = object
 };
 
 /// Input that reads the files of a station.
@@ -41,10 +41,10 @@ CaptureInput capture_input(const PolarizedSpec& polarized, const std::optional<L
 /// mask.
 PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& options, const Context& context);
 
-/// Throws an input error unless a mask has the size of the images as captured; says why, if one of them is turned.
+/// Throws an input error unless a mask has the size of the images as taken; says why, if one of them is turned.
 void require_size_of_images(const Mask& mask, Size images, const std::string& name);
 
-/// A mask or labels of the first image as captured, in the undistorted view: the value of the nearest captured pixel, 0
+/// A mask or labels of the first image as taken, in the undistorted view: the value of the nearest captured pixel, 0
 /// where there is none. Unchanged without a lens.
 Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context);
 

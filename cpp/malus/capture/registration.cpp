@@ -431,7 +431,7 @@ void set_status(ImageRegistration& result, double similarity, double texture, do
             << 100 * options.max_shift << " % of the image width";
   } else if (!(similarity >= least_similarity)) {
     result.status = RegistrationStatus::implausible;
-    message << "the image does not resemble the others (regression " << similarity << ")";
+    message << "the image does not resemble the others (similarity " << similarity << ", 1 = alike)";
   } else if (!(last_step_px <= 0.01)) {
     result.status = RegistrationStatus::not_converged;
     message << "its place was still changing, by " << last_step_px << " px, when the search ended";

@@ -27,20 +27,23 @@ Finding check_contrast(const AlignmentEvidence& color, const std::string& respon
   const double most = color.contrast / std::sqrt(color.at_best);
   std::ostringstream text;
   text.precision(2);
-  text << "in logarithms, the images have " << color.contrast << " times the contrast of the cloud's colors";
+  text << "the contrast of the images (of their logarithms) is " << color.contrast
+       << " times that of the cloud's colors";
   if (known_linear) {
     text << "; they are linear, as far as the sinusoid tells";
   } else if (most < halfway_to_encoded) {
     finding.severity = Severity::warning;
-    text << ", 2.2 is expected: they look encoded for a display, and response = \"" << response << "\" leaves them so";
+    text << ", while linear images have some 2.2 times that: they look encoded for a display, but response = \""
+         << response << "\" takes them as linear";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
   } else if (color.contrast > halfway_to_decoded_twice) {
     finding.severity = Severity::warning;
     if (response == "linear") {
-      text << ", 2.2 is expected: they look decoded twice before they were written";
+      text << ", while linear images have some 2.2 times that: they look decoded twice before they were written";
       finding.suggestion = "were they made with a contrast curve, or made linear by another program already?";
     } else {
-      text << ", 2.2 is expected: they look linear in the file, and response = \"" << response << "\" bends them";
+      text << ", while linear images have some 2.2 times that: they look linear in the file, but response = \""
+           << response << "\" decodes them";
       finding.suggestion = "is response = \"linear\" right?";
     }
   } else {

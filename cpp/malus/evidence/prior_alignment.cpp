@@ -84,8 +84,8 @@ std::string joined(const std::vector<std::string>& parts, const char* last) {
   return text;
 }
 
-/// Which offsets the check would detect here: "a shift from 5 px and a turn from 1.5° on would be told, but not another
-/// size".
+/// Which offsets the check would detect here: "a shift from 5 px and a turn from 1.5° on would be noticed, but not
+/// another size".
 std::string told_in_words(const PriorAlignment& found) {
   std::vector<std::string> told, untold;
   const auto add = [&](const char* what, double from, const std::string& from_in_words) {
@@ -97,8 +97,8 @@ std::string told_in_words(const PriorAlignment& found) {
   add("a shift", found.told_shift_px, rounded(found.told_shift_px, 0) + " px");
   add("a turn", found.told_turn_deg, rounded(found.told_turn_deg, 1) + "°");
   add("another size", found.told_scale, rounded(100 * found.told_scale, 1) + " %");
-  if (told.empty()) return "an offset of some percent would not be told";
-  return joined(told, " and ") + " on would be told" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
+  if (told.empty()) return "an offset of some percent would not be noticed";
+  return joined(told, " and ") + " on would be noticed" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
 }
 
 /// "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too large".

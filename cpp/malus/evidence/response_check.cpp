@@ -98,7 +98,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
   const bool certain = std::abs(result.bend) > certain_sigmas * result.bend_sigma;
   if (certain && result.bend < bend_of_encoded / 2) {
     finding.severity = Severity::warning;
-    finding.message = "the images look encoded for a display, and response = \"" + response + "\" leaves them so";
+    finding.message = "the images look encoded for a display, but response = \"" + response + "\" takes them as linear";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
   } else if (certain && result.bend > bend_of_decoded / 2 && response == "linear") {
     // No curve was applied that could have bent the sinusoid: the cause is another, and no other response corrects it.
@@ -108,7 +108,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.figures = {{"bend_of_something_else", result.bend}};
   } else if (certain && result.bend > bend_of_decoded / 2) {
     finding.severity = Severity::warning;
-    finding.message = "the images look linear in the file, and response = \"" + response + "\" bends them";
+    finding.message = "the images look linear in the file, but response = \"" + response + "\" decodes them";
     finding.suggestion = "is response = \"linear\" right?";
   } else {
     finding.message = "the images are linear in the light, as far as the sinusoid tells";

@@ -269,8 +269,8 @@ FusedSurface fuse_grid(const HeightMap& height, const DepthPrior& prior, const G
   surface.method = Fusion::grid;
   surface.status = FusionStatus::done;
   surface.confidence.limit(ConfidenceLevel::partial,
-                           "The paper's grid transfer takes all detail from the polarization height; nothing holds it "
-                           "against the prior.");
+                           "The paper's grid transfer takes all detail from the polarization height; nothing checks "
+                           "it against the prior.");
   if (height.status != HeightStatus::converged) surface.warnings.push_back(caution_of_moving_height(height));
   surface.depth = Image<float>::uninitialized(coarse.size());
   surface.sigma = Image<float>::uninitialized(coarse.size());

@@ -306,9 +306,10 @@ void optimize_grid_surface(FusedSurface& surface, const OptimizeInput& input, co
                                                : FusionStatus::converged;
   // The caution of the grid transfer (Eq 16) no longer applies; the equations' assumptions are as untested as before.
   surface.confidence = {};
-  surface.confidence.limit(ConfidenceLevel::partial,
-                           "All equations of the paper count alike: light, albedo and reflection that are not what "
-                           "they suppose are taken for shape, and nothing tells where.");
+  surface.confidence.limit(
+      ConfidenceLevel::partial,
+      "All equations of the paper count alike: where light, albedo or reflection differ from what they "
+      "assume, the difference becomes shape, and nothing shows where.");
   if (counts.unsolved > 0)
     surface.warnings.push_back("The equations could not be solved together in " + std::to_string(counts.unsolved) +
                                " of " + std::to_string(counts.all) +

@@ -29,6 +29,7 @@
 #include "malus/fusion/surface_sigma_internal.h"
 #include "malus/fusion/surroundings_course_internal.h"
 #include "malus/fusion/tile_solver_internal.h"
+#include "malus/polarization/reflection_internal.h"
 
 namespace malus {
 namespace {

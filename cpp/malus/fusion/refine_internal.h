@@ -9,6 +9,7 @@
 #include "malus/core/context.h"
 #include "malus/core/field_list.h"
 #include "malus/core/image.h"
+#include "malus/core/reflection_choice.h"
 #include "malus/fusion/fused_surface.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/fusion/surroundings_internal.h"

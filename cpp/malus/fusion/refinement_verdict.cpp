@@ -62,7 +62,7 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   if (std::isnan(report.eta_sigma)) {
     surface.warnings.push_back("The refractive index is not known, and the polarization does not tell it: " +
                                with_digits(report.reflection.eta, 2) +
-                               " is taken. State it as refractive_index in [optics].");
+                               " is used. State it as refractive_index in [optics].");
   } else if (report.stated_eta) {
     const double stated = *report.stated_eta, found = report.reflection.eta;
     warn(ConfidenceLevel::partial,
@@ -93,7 +93,7 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   Confidence& confidence = surface.confidence;
   if (std::isnan(report.trusted_share)) {
     confidence.limit(ConfidenceLevel::partial,
-                     "refine.evidence is off: nothing holds the refined surface against its prior.");
+                     "refine.evidence is off: nothing checks the refined surface against its prior.");
     return;
   }
   if (!has_settled(report)) {
@@ -112,7 +112,7 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
          "The surface is the prior's, or nearly: " + why_the_priors(report) +
-             ". Metal, lamps close to the object, noise or a misplaced prior do that.",
+             ". Usual causes are metal, lamps close to the object, noise, or a misplaced prior.",
          surface);
     return;
   }
@@ -138,9 +138,10 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
         "gilding, slopes may be wrong.");
   }
   if (report.reflection.mirrored) {
-    confidence.limit(ConfidenceLevel::partial,
-                     "The light is told by a map of the surroundings that was fitted on this object: its detail is "
-                     "less sure than under a plain sky or on a black mirror.");
+    confidence.limit(
+        ConfidenceLevel::partial,
+        "The light is known only from a map of the surroundings that was fitted to this object itself: the "
+        "detail is less certain than under an even sky or on a black, mirroring object.");
   }
 }
 

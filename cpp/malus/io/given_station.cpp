@@ -1,4 +1,6 @@
+#include <filesystem>
 #include <nlohmann/json.hpp>
+#include <variant>
 
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_tables_internal.h"
@@ -51,13 +53,23 @@ toml::array array_of(const ParsedJson& json, const std::string& where) {
   return array;
 }
 
+/// Makes the paths that a station names absolute: a later run or an archive may start in another folder.
+void make_absolute(StationFile& station) {
+  const auto absolute = [](const std::filesystem::path& path) {
+    return std::filesystem::absolute(path).lexically_normal();
+  };
+  const auto of_prior = [&absolute](auto& source) {
+    if constexpr (requires { source.path; }) source.path = absolute(source.path);  // a shape has no file
+  };
+  if (station.prior) std::visit(of_prior, *station.prior);
+  if (station.optics.label_image) station.optics.label_image = absolute(*station.optics.label_image);
+}
+
 }  // namespace
 
-StationFile read_given_station(const std::string& json, std::size_t image_count, const CameraSpec& camera,
-                               bool has_prior) {
-  GivenInMemory given{{}, camera, has_prior};
-  for (std::size_t k = 0; k < image_count; ++k) given.images.push_back("images[" + std::to_string(k) + "]");
+StationFile read_given_station(const std::string& json, const GivenInMemory& given) {
   StationFile station = read_station_tables(table_of(ParsedJson::parse(json), "station: "), "station", &given);
+  make_absolute(station);
   station.path.clear();
   return station;
 }

@@ -26,6 +26,8 @@ namespace {
 
 // Angles closer than this on the circle of 180° count as one.
 constexpr double distinct_angle_deg = 1e-3;
+// Angles that all lie within this on the circle of 180° cannot be meant: one turn in radians is less.
+constexpr double least_sector_deg = 6.3;
 
 constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
@@ -161,12 +163,29 @@ std::size_t distinct_angles(std::vector<double> angles_deg) {
   return std::max<std::size_t>(count, angles_deg.empty() ? 0 : 1);
 }
 
-void require_three_angles(const TomlTable& table, std::string_view key, const std::vector<double>& angles_deg) {
+/// Width of the narrowest sector of the circle of 180° that holds all angles.
+double sector_of(std::vector<double> angles_deg) {
+  for (double& angle : angles_deg) angle -= 180 * std::floor(angle / 180);
+  std::sort(angles_deg.begin(), angles_deg.end());
+  double widest_gap = angles_deg.front() + 180 - angles_deg.back();
+  for (std::size_t i = 1; i < angles_deg.size(); ++i)
+    widest_gap = std::max(widest_gap, angles_deg[i] - angles_deg[i - 1]);
+  return 180 - widest_gap;
+}
+
+/// Throws unless the angles determine intensity, degree and phase, and can be degrees.
+void require_usable_angles(const TomlTable& table, std::string_view key, const std::vector<double>& angles_deg) {
   const std::size_t distinct = distinct_angles(angles_deg);
-  if (distinct >= 3) return;
-  throw data_error(
-      table.where(key) + " has " + std::to_string(distinct) +
-      " distinct polarizer angles modulo 180°, expected at least 3: intensity, degree and phase are three unknowns");
+  if (distinct < 3) {
+    throw data_error(
+        table.where(key) + " has " + std::to_string(distinct) +
+        " distinct polarizer angles modulo 180°, expected at least 3: intensity, degree and phase are three unknowns");
+  }
+  if (sector_of(angles_deg) < least_sector_deg) {
+    throw table.error(key,
+                      "all angles lie within 6.3°, expected degrees over most of half a turn, such as 0, 45, 90 and "
+                      "135; are these radians?");
+  }
 }
 
 /// Angles of the images: a list, "auto" (nothing), or taken from the file names.
@@ -205,7 +224,7 @@ std::optional<std::vector<double>> read_angles(const TomlTable& table,
                                "expected angles_deg = [ … ], one for each image in this order, or an angle_pattern");
     }
   }
-  require_three_angles(table, key, angles);
+  require_usable_angles(table, key, angles);
   return angles;
 }
 
@@ -223,7 +242,7 @@ std::string read_response(const TomlTable& table) {
   if (!std::filesystem::exists(path))
     throw table.wrong("response", "\"linear\", \"srgb\", \"gamma:2.2\" or the file of a lookup table");
   require_file(path, table.where("response"));
-  return path.string();
+  return std::filesystem::absolute(path).string();
 }
 
 /// Exposure times, one per image. Every angle must have the same set of times, so that all merged images have equal
@@ -268,17 +287,24 @@ std::vector<std::array<double, 2>> read_pixels(const TomlTable& table, std::stri
   return pixels;
 }
 
+/// Names of images in memory, for messages.
+std::vector<std::filesystem::path> names_of_images(std::size_t count) {
+  std::vector<std::filesystem::path> names;
+  for (std::size_t k = 0; k < count; ++k) names.emplace_back("images[" + std::to_string(k) + "]");
+  return names;
+}
+
 PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given) {
   PolarizedSpec spec;
   read_fields(table, spec);
-  spec.images = given ? given->images : read_image_list(table);
+  spec.images = given ? names_of_images(given->image_count) : read_image_list(table);
   if (table.has("mosaic")) {
     spec.mosaic = read_mosaic(table);
     if (spec.images.size() != 1) {
       throw table.error("images", "has " + std::to_string(spec.images.size()) + " files, expected one with `mosaic`");
     }
     refuse(table, {"angles_deg", "angle_pattern"}, "cannot be given together with `mosaic`, which states the angles");
-    require_three_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
+    require_usable_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
     spec.mosaic_colors = table.text_among("mosaic_colors", bayer_patterns);
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
@@ -300,7 +326,8 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
     throw table.wrong("black_level", "less than the white level");
   }
   if (std::ranges::any_of(spec.images, is_raw_name)) {
-    refuse(table, {"response", "white_level", "black_level", "mosaic"}, "is not for RAW files, whose metadata say it");
+    refuse(table, {"response", "white_level", "black_level", "mosaic"},
+           "is not for RAW files: their metadata state it");
     if (!std::ranges::all_of(spec.images, is_raw_name)) {
       throw table.error("images", "has RAW files and others, expected one kind");
     }
@@ -744,8 +771,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
                                 const GivenInMemory* given) {
   StationFile station;
   station.path = path;
-  Keys known{"station", "object", "polarized", "optics", "prior", "scale", "patch", "profile"};
-  if (given == nullptr) known.insert(known.end(), {"camera", "photos", "control"});
+  Keys known{"station", "object", "polarized", "optics", "prior", "scale", "control", "patch", "profile"};
+  if (given == nullptr) known.insert(known.end(), {"camera", "photos"});
   const TomlTable document(root, path, "", known);
 
   station.name = path.parent_path().filename().string();
@@ -771,17 +798,18 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   std::optional<Size> images;
   if (given != nullptr) {
     station.camera = given->camera;
-    images = given->camera.lens.size;
+    images = given->image_size;
   } else {
     images = size_of_images(station, polarized.where("images"));
   }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
   if (const auto table = checked_section(document, "camera", camera_keys))
     read_camera(document, *table, images, station);
-  if (station.prior && !station.camera && !station.photos) {
+  const bool has_prior = station.prior || prior_in_memory;
+  if (has_prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
   }
-  read_scale_bars(document, station, station.prior || prior_in_memory);
+  read_scale_bars(document, station, has_prior);
 
   if (given != nullptr) station.polarized.images.clear();
   if (!station.control.empty() && !station.camera && !station.frame_is_of_photos())

@@ -225,6 +225,8 @@ struct StationFile {
   std::vector<PatchSpec> patches;
   std::vector<ProfileSpec> profiles;
 
+  /// Its place in messages.
+  std::string where() const { return path.empty() ? "station " + name : path.string(); }
   /// Whether the surface is computed from [photos]; the result is then in the photos' frame.
   bool frame_is_of_photos() const { return photos && !prior; }
   /// The lens, whether the pose is known or not.

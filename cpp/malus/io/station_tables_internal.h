@@ -5,18 +5,11 @@
 #include <toml++/toml.h>
 
 #include <filesystem>
-#include <vector>
 
+#include "malus/io/given_station_internal.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {
-
-/// Data in memory in place of files that a station file names.
-struct GivenInMemory {
-  std::vector<std::filesystem::path> images;  ///< their names in messages
-  CameraSpec camera;
-  bool has_prior = false;
-};
 
 /// As read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative paths start
 /// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask, camera or photos.

@@ -103,7 +103,7 @@ std::string contradiction(const FrameEstimate& surface) {
         << with_digits(-surface.coherence.ahead(), 2)
         << " standard deviations apart); expected angle_direction = \"cw\" where the file says \"ccw\" or nothing, "
            "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is "
-           "mirrored, or the camera exposed every image by itself";
+           "mirrored, or the camera set the exposure of each image automatically";
   } else if (surface.limits.is_off_by_quarter()) {
     text << "[polarized] angle_zero_deg is off by 90°: " << with_digits(100 * surface.limits.beyond, 2)
          << " % of the steep places are polarized along the slope more than any reflection can, "

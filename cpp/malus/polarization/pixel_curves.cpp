@@ -1,10 +1,9 @@
-#include "malus/polarization/pixel_curves.h"
-
 #include <algorithm>
 #include <cstddef>
 #include <sstream>
 
 #include "malus/core/degrees_internal.h"
+#include "malus/polarization/pixel_curves_internal.h"
 
 namespace malus {
 namespace {

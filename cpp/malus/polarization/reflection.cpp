@@ -1,5 +1,3 @@
-#include "malus/polarization/reflection.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,6 +10,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
+#include "malus/polarization/reflection_internal.h"
 
 namespace malus {
 namespace {

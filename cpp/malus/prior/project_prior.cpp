@@ -270,7 +270,7 @@ double stated_or_measured(double measured, const PriorOptions& options, const Co
     std::ostringstream message;
     message << "prior cloud: its points scatter by " << with_digits(measured, 3)
             << " about their surface, but sigma states " << with_digits(*options.sigma, 3)
-            << ", which is taken: check its unit";
+            << ", which is used: check its unit";
     context.log(LogLevel::warning, message.str());
   }
   return *options.sigma;

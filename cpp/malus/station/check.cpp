@@ -14,7 +14,7 @@
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/polarization/reflection.h"
+#include "malus/polarization/reflection_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
@@ -38,9 +38,8 @@ std::string with_count(std::size_t count, const std::string& noun) {
 /// unusable image, response or level.
 void read_images(const Station& station, const Mask& object, const CaptureOptions& options, Plan& plan,
                  const Context& context) {
-  if (station.in_memory()) return;
   const StationFile& file = station.file;
-  const CaptureInput input = capture_input(file.polarized, file.known_lens());
+  const CaptureInput input = make_capture_input(station);
   const ResponseCurve curve = response_curve(file.polarized.response, "response");
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     context.check_cancel();
@@ -152,22 +151,22 @@ void warn_of_memory(Plan& plan) {
 
 }  // namespace
 
-std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
-                                         const std::optional<std::string>& until, const std::optional<Size>& known_size,
+std::vector<ExpectedTime> expected_times(const Station& station, const Options& options, const TimedRun& run,
                                          const Context& context) {
   context.validate();
-  const Size size = known_size ? *known_size : captured_size(station);
+  const Size size = run.size ? *run.size : captured_size(station);
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, size, 1e-6 * static_cast<double>(count_of_set(captured_object(station, size))),
                       context.threads};
   std::vector<ExpectedTime> times;
-  for (const Step* step : steps_of_run(step_table(), planned, options, until))
+  for (const Step* step : steps_of_run(step_table(), planned, options, run.until))
     times.push_back({step->name, step->cost(work).seconds});
   return times;
 }
 
 Plan check_station(const Station& station, const Options& options, const Context& context) {
   context.validate();
+  if (const auto lens = station.file.known_lens()) lens->validate("[camera]");
   Plan plan;
   plan.name = station.file.name;
   plan.size = captured_size(station);
@@ -175,7 +174,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = static_cast<double>(count_of_set(object));
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
-  if (station.file.optics.label_image) require_labels(captured_labels(station.file), plan.size);
+  if (station.file.optics.label_image || station.labels) require_labels(captured_labels(station), plan.size);
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     require_camera(station.file);

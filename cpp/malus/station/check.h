@@ -30,11 +30,15 @@ struct ExpectedTime {
   double seconds = 0;
 };
 
+/// Of which run the times are expected.
+struct TimedRun {
+  std::optional<std::string> until = {};  ///< its last step; nothing = all
+  std::optional<Size> size = {};          ///< of the images, if their files do not give it (RAW)
+};
+
 /// Expected time of each step of a run with context.threads threads, from the images' size and the mask alone. A
-/// station with [photos] is assumed to have its prior already. `size` gives the images' size if their files do not
-/// (RAW).
-std::vector<ExpectedTime> expected_times(const Station& station, const Options& options,
-                                         const std::optional<std::string>& until, const std::optional<Size>& size,
+/// station with [photos] is assumed to have its prior already.
+std::vector<ExpectedTime> expected_times(const Station& station, const Options& options, const TimedRun& run,
                                          const Context& context);
 
 /// Reads the inputs of a station as a run would, without computing anything: images (size, levels, saturation), mask,

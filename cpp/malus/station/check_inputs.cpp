@@ -9,6 +9,23 @@
 
 namespace malus {
 
+CaptureInput make_capture_input(const Station& station) {
+  const std::optional<LensCamera> lens = station.file.known_lens();
+  if (!station.in_memory()) return capture_input(station.file.polarized, lens);
+  CaptureInput input;
+  input.polarized = station.file.polarized;
+  input.lens = lens;
+  input.mask = station.mask;
+  for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
+  input.load = [&station](std::size_t k) {
+    // Whole numbers are treated like those of a file of 16 bits.
+    constexpr double white_of_16_bits = 65535;
+    return station.whole_numbers ? RawImage{station.images[k], 16, false, white_of_16_bits}
+                                 : RawImage{station.images[k], 32, true, 1.0};
+  };
+  return input;
+}
+
 Size captured_size(const Station& station) {
   if (station.in_memory()) return station.images.front().size();
   if (station.file.polarized.images.empty()) throw input_error("no polarized images");
@@ -26,10 +43,11 @@ Mask captured_object(const Station& station, Size size) {
   return mask;
 }
 
-Image<std::uint8_t> captured_labels(const StationFile& station) {
-  if (!station.optics.label_image) return {};
-  const std::filesystem::path& path = *station.optics.label_image;
-  const std::optional<LensCamera> lens = station.known_lens();
+Mask captured_labels(const Station& station) {
+  if (station.labels) return *station.labels;
+  if (!station.file.optics.label_image) return {};
+  const std::filesystem::path& path = *station.file.optics.label_image;
+  const std::optional<LensCamera> lens = station.file.known_lens();
   const bool is_of_run =
       path.filename() == "label.png" && std::filesystem::exists(path.parent_path().parent_path() / "manifest.json");
   if (is_of_run && lens && lens->has_distortion()) {
@@ -42,7 +60,7 @@ Image<std::uint8_t> captured_labels(const StationFile& station) {
 const CameraSpec& require_camera(const StationFile& station) {
   if (station.camera) return *station.camera;
   throw input_error(
-      station.path.string() +
+      station.where() +
       ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
 }
 

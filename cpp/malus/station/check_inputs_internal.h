@@ -5,20 +5,24 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "malus/capture/capture_internal.h"
 #include "malus/core/image.h"
 #include "malus/station/station.h"
 
 namespace malus {
 
-/// Size of the polarized images as captured.
+/// Input that reads the station's files, or its images in memory; the station must outlive it.
+CaptureInput make_capture_input(const Station& station);
+
+/// Size of the polarized images as taken.
 Size captured_size(const Station& station);
 
-/// Mask of the object in the images as captured; without a mask file, all pixels.
+/// Mask of the object in the images as taken; without a mask file, all pixels.
 Mask captured_object(const Station& station, Size size);
 
-/// Label image of the images as captured; empty without one. Input error for the label.png of a run if the lens has
+/// Labels of the images as taken; empty without any. Input error for the label.png of a run if the lens has
 /// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
-Image<std::uint8_t> captured_labels(const StationFile& station);
+Mask captured_labels(const Station& station);
 
 /// Lens and pose. Input error without a pose.
 const CameraSpec& require_camera(const StationFile& station);
@@ -26,7 +30,7 @@ const CameraSpec& require_camera(const StationFile& station);
 /// A point of the prior projected into the station's camera.
 struct SeenPoint {
   Eigen::Vector3d in_cam;
-  double u = 0, v = 0;  ///< in the image as captured, inside it
+  double u = 0, v = 0;  ///< in the image as taken, inside it
 };
 
 /// Those of the points (world frame) that lie in front of the camera and that its lens sees in the image.

@@ -11,7 +11,7 @@ namespace malus {
 
 /// Data of a picture that shows whether prior and mask lie where the image shows the object.
 struct CheckPicture {
-  Image<float> image;  ///< the first polarized image as captured, mean of its channels [DN]
+  Image<float> image;  ///< the first polarized image as taken, mean of its channels [DN]
   Mask object;         ///< the mask; without one, all pixels
   /// The prior's points in the image: u, v [px] and z in the camera [unit of the station]; at most about 100,000,
   /// evenly sampled. Empty for a prior that is still to be made from photos.

@@ -11,7 +11,7 @@
 
 namespace malus {
 
-/// Offset of a mark from the projection of its control point, in pixels of the polarized image as captured.
+/// Offset of a mark from the projection of its control point, in pixels of the polarized image as taken.
 struct ControlResidual {
   std::string name;
   bool check = false;  ///< the point was not used to determine the pose

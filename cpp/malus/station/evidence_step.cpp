@@ -57,7 +57,7 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
     // Cautions about the images were logged by the steps that found them, because those can run without this step.
     if (finding.severity <= Severity::caution) continue;
     if (finding.severity == Severity::error && job.options.evidence.refuse)
-      throw input_error(finding.text() + " (evidence.refuse = false goes on all the same)");
+      throw input_error(finding.text() + " (with evidence.refuse = false the run continues)");
     job.context.log(LogLevel::warning, finding.text());
   }
   return evidence;

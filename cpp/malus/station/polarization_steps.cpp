@@ -19,7 +19,8 @@
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
-#include "malus/polarization/pixel_curves.h"
+#include "malus/polarization/pixel_curves_internal.h"
+#include "malus/polarization/reflection_internal.h"
 #include "malus/polarization/unpolarized_internal.h"
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -38,23 +39,6 @@ constexpr double least_polarization = 1.5;
 constexpr int polarization_cell_px = 8;
 /// Median error of (s1, s2), relative to their length, from which a mosaic is worth a warning.
 constexpr double texture_over_polarization = 1;
-
-CaptureInput make_capture_input(const Station& station) {
-  const std::optional<LensCamera> lens = station.file.known_lens();
-  if (!station.in_memory()) return capture_input(station.file.polarized, lens);
-  CaptureInput input;
-  input.polarized = station.file.polarized;
-  input.lens = lens;
-  input.mask = station.mask;
-  for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
-  input.load = [&station](std::size_t k) {
-    // Whole numbers are treated like those of a file of 16 bits.
-    constexpr double white_of_16_bits = 65535;
-    return station.whole_numbers ? RawImage{station.images[k], 16, false, white_of_16_bits}
-                                 : RawImage{station.images[k], 32, true, 1.0};
-  };
-  return input;
-}
 
 /// Finding for images that fit other angles or exposures, where the difference is too large for an error of reading.
 Finding caution_of_angles(const PolarizerFit& fit) {
@@ -123,7 +107,7 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
                  Severity::caution,
                  "used without registration: " + std::to_string(count) + " of the " +
                      std::to_string(stack.images.size()) +
-                     " polarized images, as too little in them tells how they lie",
+                     " polarized images, which show too little detail to be aligned",
                  "if the camera did not move, capture.registration = \"off\" says so",
                  {}};
 }
@@ -259,7 +243,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     // display's curve from another's.
     if (finding.check == "encoding" && says_linear(response)) {
       finding.severity = Severity::note;
-      finding.message += "; the light says that this is right";
+      finding.message += "; the measured brightness shows that this is right";
       finding.suggestion.clear();
     }
     of_images.findings.push_back(std::move(finding));
@@ -306,14 +290,14 @@ std::tuple<ReflectionMap, ClampedZeniths> find_zenith(const Job& job, const Cali
   ReflectionOptions known = job.options.reflection;
   if (file.optics.refractive_index) known.refractive_index = *file.optics.refractive_index;
   known.reflection = file.optics.reflection;
-  const Image<std::uint8_t> labels = labels_in_view(file, job.context);
+  const Image<std::uint8_t> labels = labels_in_view(job.station, job.context);
   Image<float> normals;
   if (prior != nullptr) normals = normals_from_depth(prior->depth, view.camera, job.context);
   // Without a camera the rays are assumed parallel.
   const Pinhole* camera = file.known_lens() ? &view.camera : nullptr;
   const PolarizationState& state = *polarization.state;
   ReflectionMap map = map_reflection(state, camera, prior != nullptr ? &normals : nullptr,
-                                     file.optics.label_image ? &labels : nullptr, known, job.context);
+                                     labels.empty() ? nullptr : &labels, known, job.context);
   ClampedZeniths clamped{Mask(state.size()), map.clamped_share};
   const double largest = largest_diffuse_degree(map.refractive_index);  // Eq 8 reaches 1
   for (std::size_t i = 0; i < clamped.map.count(); ++i) {

@@ -7,8 +7,8 @@ namespace malus {
 const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
       {"paper",
-       "the method of the paper as printed: angles as read, literal rows, orthographic, both surfaces scaled to 0 … 1, "
-       "then all equations together",
+       "the method of the paper as printed: angles as read, rows of the equations as printed, parallel rays, both "
+       "surfaces scaled to 0 … 1, then all equations together",
        R"({"fusion": "grid",
            "polarizer": {"calibrate_angles": "off"},
            "light": {"model": "directional"},

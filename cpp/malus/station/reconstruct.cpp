@@ -12,7 +12,7 @@ namespace malus {
 namespace {
 
 Error no_prior(const Station& station) {
-  const std::string where = station.file.path.string();
+  const std::string where = station.file.where();
   if (station.file.photos) {
     return input_error(
         where +
@@ -88,11 +88,10 @@ void forget_step(const std::filesystem::path& folder, const std::string& name) {
   workspace.forget(name, files_of(step_table(), name));
 }
 
-void record_step(const std::filesystem::path& folder, const std::string& name, const std::vector<std::string>& files,
-                 const std::string& times_json, const Context& context) {
+void record_step(const std::filesystem::path& folder, const FinishedStep& finished, const Context& context) {
   const std::vector<Step>& table = step_table();
-  const auto step = std::ranges::find(table, name, &Step::name);
-  if (step == table.end()) throw input_error("step " + name + " does not exist");
+  const auto step = std::ranges::find(table, finished.name, &Step::name);
+  if (step == table.end()) throw input_error("step " + finished.name + " does not exist");
   Workspace workspace(folder);
   Workspace::Record record;
   for (auto maker = table.begin(); maker != step; ++maker) {
@@ -100,8 +99,8 @@ void record_step(const std::filesystem::path& folder, const std::string& name, c
     if (before != nullptr && uses(*step, *maker)) record.after[maker->name] = before->key;
   }
   record.key = sha256_of_bytes(Json(record.after).dump());
-  record.outputs = workspace.examine(files, context);
-  workspace.finish(name, std::move(record), Json::parse(times_json));
+  record.outputs = workspace.examine(finished.files, context);
+  workspace.finish(finished.name, std::move(record), Json::parse(finished.times_json));
 }
 
 }  // namespace malus

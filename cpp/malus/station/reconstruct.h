@@ -63,9 +63,13 @@ void claim_workspace(const std::filesystem::path& folder, const Station& station
 /// For steps that another program runs on a finished workspace: removes the files of this step and of those after it,
 /// and unfinished files.
 void forget_step(const std::filesystem::path& workspace, const std::string& step);
-/// For the same steps, once `files` below the workspace are written: records the step as done. `times_json`: a JSON
-/// object with the time and memory that it took, for the manifest.
-void record_step(const std::filesystem::path& workspace, const std::string& step, const std::vector<std::string>& files,
-                 const std::string& times_json, const Context& context);
+/// A step that another program has run.
+struct FinishedStep {
+  std::string name;
+  std::vector<std::string> files;  ///< that it wrote, below the workspace
+  std::string times_json;          ///< a JSON object with the time and memory that it took, for the manifest
+};
+/// For the same steps, once their files are written: records the step as done.
+void record_step(const std::filesystem::path& workspace, const FinishedStep& finished, const Context& context);
 
 }  // namespace malus

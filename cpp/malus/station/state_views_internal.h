@@ -17,10 +17,10 @@ inline LightEstimate light_on_surface(const PolarizationState& state, const Imag
   return estimate_light(state.i_un, normals, state.valid_pixels(), camera, options, context);
 }
 
-/// The station's label image in the undistorted view, empty without one. Like the mask it is of the images as captured.
-inline Image<std::uint8_t> labels_in_view(const StationFile& station, const Context& context) {
-  if (!station.optics.label_image) return {};
-  return undistorted_mask(captured_labels(station), station.known_lens(), context);
+/// The station's labels in the undistorted view, empty without any. Like the mask they are of the images as taken.
+inline Mask labels_in_view(const Station& station, const Context& context) {
+  const Mask labels = captured_labels(station);
+  return labels.empty() ? labels : undistorted_mask(labels, station.file.known_lens(), context);
 }
 
 }  // namespace malus

@@ -20,6 +20,7 @@ Json describe_prior(const Station& station) {
     Json operator()(const DepthFile& file) const { return {{"prior", "depth"}, {"prior_depth", file.path.string()}}; }
     Json operator()(const Shape& shape) const { return {{"prior", name_of(shape)}}; }
     Json operator()(const PointCloud&) const { return {{"prior", "cloud"}}; }
+    Json operator()(const TriangleMesh&) const { return {{"prior", "mesh"}}; }
     Json operator()(const Image<float>&) const { return {{"prior", "depth"}}; }
     Json operator()(const SweptDepth&) const { return {{"prior", "depth"}}; }
   };

@@ -15,10 +15,10 @@
 
 namespace malus {
 
-/// Source of the coarse surface: none (yet); a file; a shape or a cloud in the world frame; a depth map (z in the
-/// undistorted view, NaN = none); a depth map measured over windows.
-using PriorSource =
-    std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, Image<float>, SweptDepth>;
+/// Source of the coarse surface: none (yet); a file; a shape, a cloud or a mesh in the world frame; a depth map (z in
+/// the undistorted view, NaN = none); a depth map measured over windows.
+using PriorSource = std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, TriangleMesh,
+                                 Image<float>, SweptDepth>;
 
 /// What the photogrammetry that found a station's camera and prior reports.
 struct Photogrammetry {
@@ -35,7 +35,8 @@ struct Station {
   // Data given in memory replaces the files that `file` would name.
   std::vector<Image<float>> images;  ///< linear, [0, 1] of the white level, one per polarizer position
   bool whole_numbers = false;        ///< the images hold whole digital numbers; file.polarized states their white level
-  std::optional<Mask> mask;
+  std::optional<Mask> mask;          ///< of the images as taken, non-zero = object
+  std::optional<Mask> labels;  ///< of the images as taken, with ReflectionChoice::labels: see OpticsSpec::label_image
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;
   std::vector<Finding>

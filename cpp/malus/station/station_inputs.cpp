@@ -93,6 +93,7 @@ Json StationInputs::polarized() {
 Json StationInputs::optics() {
   Json json = fields_to_json(station_.file.optics);
   if (station_.file.optics.label_image) json["label_image"] = file(*station_.file.optics.label_image);
+  if (station_.labels) json["label_image"] = array("labels", *station_.labels);
   return json;
 }
 
@@ -129,6 +130,10 @@ Json StationInputs::prior() {
       return {{"points", inputs.array("prior points", cloud.points)},
               {"normals", inputs.array("prior normals", cloud.normals)},
               {"colors", inputs.array("prior colors", cloud.colors)}};
+    }
+    Json operator()(const TriangleMesh& mesh) const {
+      return {{"vertices", inputs.array("prior vertices", mesh.vertices.points)},
+              {"triangles", inputs.array("prior triangles", mesh.triangles)}};
     }
     Json operator()(const Image<float>& depth) const { return {{"depth", inputs.array("prior depth", depth)}}; }
     Json operator()(const SweptDepth& swept) const {

@@ -123,11 +123,11 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
     light = light_from_polarization(state, reflection, known, camera, options.light, job.context);
     if (!known) {
       const std::string assumed = light.of_contour ? "an object whose surface turns away from the view at its outline"
-                                                   : "an object that is convex in the whole";
+                                                   : "an object that is convex as a whole";
       job.context.log(LogLevel::warning,
-                      "the light comes from the polarization alone, for " + assumed +
-                          " and has one albedo; if it is hollow there, the height is upside down: give [optics] light "
-                          "= [x, y, z]");
+                      "the direction of the light is found from the polarization alone, which assumes " + assumed +
+                          ", of one color; if it is hollow instead, the height is upside down: state [optics] light = "
+                          "[x, y, z]");
     }
   } else {
     // The normals are a temporary: they are the largest map, and only the light is estimated from them.
@@ -181,7 +181,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineInput input;
   input.refractive_index = optics.refractive_index;
   input.reflection = optics.reflection;
-  input.labels = labels_in_view(job.station.file, job.context);
+  input.labels = labels_in_view(job.station, job.context);
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),

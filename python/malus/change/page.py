@@ -30,7 +30,7 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
         plates.signed_map(
             "significant",
             "Significant changes",
-            "The same where it is beyond the smallest change that could be told (95 %), over the earlier relief; the numbers are those "
+            "The same where it is larger than the smallest detectable change (95 %), over the earlier relief; the numbers are those "
             "of the table.",
             significant,
             "µm",
@@ -39,8 +39,8 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
         ),
         plates.plain_map(
             "limit",
-            "Smallest change that could be told",
-            "A smaller one cannot be told from none (95 %).",
+            "Smallest detectable change",
+            "A smaller one may be measurement error alone (95 %).",
             plates.small(distances.limit) * um,
             "µm",
         ),

@@ -109,7 +109,7 @@ def register(before: Exporter, after: Exporter, *, same_frame: bool, threads: in
         # A motion that has not converged is not an error: the next round continues it, and the blocks show how good it is.
         if found["status"] == "no pixel near the reference" or found["compared_fraction"] < _LEAST_COMPARED:
             raise DataError(
-                f"{after.workspace.folder}: its surface does not lie upon that of {before.workspace.folder} "
+                f"{after.workspace.folder}: its surface does not lie on that of {before.workspace.folder} "
                 f"({100 * found['compared_fraction']:.0f} % lies near it, {matches} features agree), expected two surfaces of the same object; "
                 "if their frames differ, their pictures must resemble each other"
             )

@@ -79,7 +79,7 @@ def compare(
             f"{after}: lengths are in {second.unit}, those of {before} in {first.unit}, expected one unit; "
             "set [station] unit and run it again"
         )
-    progress(0.1, "laying one surface upon the other")
+    progress(0.1, "aligning the two surfaces")
     registration = register(first, second, same_frame=same_frame, threads=threads)
     progress(0.4, "measuring distances")
     distances = measure(first, second, registration, threads)
@@ -162,8 +162,8 @@ def _warnings(before: Exporter, after: Exporter, registration: Registration) -> 
             warnings.append(f"the {which} surface has low confidence: {'; '.join(confidence['reasons'])}")
     if registration.stable_fraction < _LEAST_STABLE:
         warnings.append(
-            f"only {100 * registration.stable_fraction:.0f} % of the surface did not change: it may have been laid upon the "
-            "wrong place, or one of the surfaces is bent"
+            f"only {100 * registration.stable_fraction:.0f} % of the surface did not change: it may have been aligned at "
+            "the wrong place, or one of the surfaces is bent"
         )
     if registration.by == "none" and abs(registration.offset) > _MOST_OFFSET * registration.error:
         um = METERS[before.unit] * 1e6
@@ -174,8 +174,8 @@ def _warnings(before: Exporter, after: Exporter, registration: Registration) -> 
         )
     if registration.by == "frames":
         warnings.append(
-            "the pictures have too little in common to find the place; the surfaces were laid upon each other from the "
-            "frames of their stations as they are"
+            "the pictures have too little in common to find the place; the surfaces were aligned from the "
+            "frames of their stations alone"
         )
     if registration.size is not None and abs(registration.size - 1) > _MOST_SIZE:
         warnings.append(
@@ -230,7 +230,7 @@ def change_summary(figures: dict[str, Any]) -> list[str]:
         lines.append(f"  and {count - 5} more, regions.csv")
     moved = {"features": "by features and ICP", "frames": "by ICP from their frames", "none": "not moved"}
     lines.append(
-        f"  laid upon each other {moved[registration['by']]}: {shown(registration['error_um'], 'um')} apart where "
+        f"  aligned {moved[registration['by']]}: {shown(registration['error_um'], 'um')} apart where "
         f"nothing changed ({100 * registration['stable_fraction']:.0f} % of the surface)"
     )
     return lines + [f"  warning: {warning}" for warning in figures["warnings"]]

@@ -77,7 +77,7 @@ def measure(before: Exporter, after: Exporter, registration: Registration, threa
     limit = np.where(np.isfinite(distance), told, np.nan)
     if not np.isfinite(distance).any():
         raise DataError(
-            f"{after.workspace.folder}: nothing says how unsure its surface or that of {before.workspace.folder} is"
+            f"{after.workspace.folder}: neither its surface nor that of {before.workspace.folder} has a standard deviation where they meet"
         )
     distances, limits = (m3c2.spread_out(values, step, known) for values in (distance, limit))
     return Distances(distances, limits, depth_after, radius)

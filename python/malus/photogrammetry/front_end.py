@@ -279,7 +279,10 @@ def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
         return None
     values, rms_px = _core.as_colmap_camera(camera_of(said).values())
     if rms_px > 0.05:
-        log("warning", f"[photos].camera is met to {rms_px:.2f} px only by the lens model that COLMAP has for it")
+        log(
+            "warning",
+            f"COLMAP has no lens model like that of [photos].camera; the nearest one differs by {rms_px:.2f} px",
+        )
     return Camera(*values)
 
 

@@ -130,7 +130,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         bench.log(
             "warning",
             f"the photos share few features: {options.min_inliers} matches place a photo here instead of {_PLACING_MATCHES}, "
-            "so their positions are less sure; more photos in between, or texture around the object, make them surer",
+            "so their positions are less certain; more photos in between, or texture around the object, help",
         )
     diagnosis.check_mapping(mapping, names, pairs, bench.log)
     stage(

@@ -117,7 +117,7 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
     if not (same_camera and _is_same_place(a, b)) or a.quality["unit"] != b.quality["unit"]:
         raise InputError(
             f"{first.name} and {second.name} were not taken from the same place with the same camera and unit, so that they cannot "
-            "be laid upon each other pixel by pixel; two dates of one object are compared below"
+            "be compared pixel by pixel; two dates of one object are compared below"
         )
     nearer = a.raster("fused/depth.tif") - b.raster("fused/depth.tif")
     known = nearer[np.isfinite(nearer)]

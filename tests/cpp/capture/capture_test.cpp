@@ -148,6 +148,25 @@ TEST(Capture, mismatched_inputs_are_named) {
   expect_refused(input, "mosaic");
 }
 
+/// Memory beyond the lists was read.
+TEST(Capture, exposures_and_lenses_that_lack_numbers_are_refused) {
+  const auto expect_refused = [](const CaptureInput& input, const auto&... parts) {
+    expect_error(
+        ErrorCode::input, [&] { capture_stack(input, {}, Context{}); }, parts...);
+  };
+  CaptureInput input = aligned_input();
+  input.polarized.exposure_s = std::vector<double>{1, 2};
+  expect_refused(input, "exposure_s has 2 times for 4 images");
+  input.polarized.exposure_s = std::vector<double>{1, 1, 0, 1};
+  expect_refused(input, "exposure_s must be positive");
+  input.polarized.exposure_s = std::vector<double>{1, 1, 1, 1};
+  input.polarized.angles_deg.reset();
+  expect_refused(input, "exposure_s needs known angles");
+  input = aligned_input();
+  input.lens = LensCamera{LensModel::opencv, stone_size, {80, 80, 50, 50}};
+  expect_refused(input, "[camera]: 4 parameters for camera model OPENCV, expected 8");
+}
+
 TEST(Capture, unusable_data_are_refused) {
   const auto expect_refused = [](const CaptureInput& input, const CaptureOptions& options, const char* part) {
     expect_error(

@@ -82,7 +82,7 @@ TEST(PriorAlignment, StatesTheSmallestDetectableOffsets) {
   const PriorAlignment right = check(scene, scene.cloud);
   EXPECT_GT(right.told_turn_deg, 0);
   EXPECT_LE(right.told_turn_deg, 1.5);
-  EXPECT_NE(right.finding.message.find(" on would be told"), std::string::npos) << right.finding.message;
+  EXPECT_NE(right.finding.message.find(" on would be noticed"), std::string::npos) << right.finding.message;
   for (const double sign : {1, -1}) {
     const PriorAlignment turned = check(scene, scene.moved(motion(0, 0, 1.2 * sign * right.told_turn_deg)));
     EXPECT_EQ(turned.finding.severity, Severity::warning) << turned.finding.text();

@@ -10,6 +10,7 @@
 #include "malus/height/height_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/ray_frame.h"
+#include "malus/polarization/reflection_internal.h"
 
 namespace malus::height_scenes {
 

@@ -211,6 +211,14 @@ TEST_F(StationFileTest, FewerThanThreeAnglesIsADataError) {
   EXPECT_EQ(read(repeated).polarized.angles_deg->size(), 4u) << "two images at the same angle are two exposures";
 }
 
+TEST_F(StationFileTest, AnglesInRadiansAreRefused) {
+  for (const char* angles : {"[0, 0.785, 1.571]", "[-1.571, 0, 1.571]", "[0, 3.14159, 6.28]"})
+    rejects_change("[0, 45, 90]", angles, "[polarized].angles_deg", "all angles lie within 6.3°", "radians?");
+  Sections narrow;
+  narrow.polarized.replace(narrow.polarized.find("[0, 45, 90]"), 11, "[0, 4, 7]");
+  EXPECT_EQ(read(narrow).polarized.angles_deg->size(), 3u);
+}
+
 TEST_F(StationFileTest, ReadsFoldersGlobsAndAnglePatterns) {
   const auto angles = [&](const std::string& lines) {
     Sections sections;

@@ -1,5 +1,4 @@
-#include "malus/polarization/pixel_curves.h"
-
+#include "malus/polarization/pixel_curves_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

@@ -1,11 +1,10 @@
-#include "malus/polarization/reflection.h"
-
 #include <gtest/gtest.h>
 
 #include <functional>
 #include <numbers>
 
 #include "malus/polarization/ray_frame.h"
+#include "malus/polarization/reflection_internal.h"
 
 namespace malus {
 namespace {

@@ -2,6 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <limits>
+#include <string>
+
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_picture_internal.h"
@@ -45,7 +49,7 @@ TEST(Threads, FewerThanOneAreRefused) {
     expect_error(
         ErrorCode::input, [&] { check_station(scaled_station(), Options(), context); }, said);
     expect_error(
-        ErrorCode::input, [&] { expected_times(scaled_station(), Options(), {}, {}, context); }, said);
+        ErrorCode::input, [&] { expected_times(scaled_station(), Options(), {}, context); }, said);
   }
 }
 
@@ -58,6 +62,35 @@ TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
   station.images.clear();
   expect_error(
       ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "no polarized images");
+  station = scaled_station();
+  station.file.camera->lens.params.pop_back();
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, Options(), Context()); }, "[camera]: 3 parameters");
+}
+
+TEST(CheckStation, ReadsImagesInMemoryAsItReadsFiles) {
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  EXPECT_TRUE(check_station(station, {}, {}).warnings.empty());
+  std::fill_n(station.images[0].row(0), 120, 1.0F);
+  const Plan clipped = check_station(station, {}, {});
+  ASSERT_EQ(clipped.warnings.size(), 1U);
+  expect_contains(clipped.warnings[0], "images[0]: 10 % of the object's pixels are saturated");
+  station.images[0](3, 4) = std::numeric_limits<float>::quiet_NaN();
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "images[0]");
+}
+
+TEST(CheckStation, ReadsLabelsInMemory) {
+  Station station = scaled_station();
+  station.prior = TriangleMesh{cloud_of(station), {{0, 1, 2}}};
+  station.labels = Mask({40, 30}, 1, std::uint8_t{2});
+  station.file.optics.reflection = ReflectionChoice::labels;
+  const Plan plan = check_station(station, {}, {});
+  EXPECT_NE(std::ranges::find(plan.does, std::string("prior: mesh of 1 triangles")), plan.does.end());
+  (*station.labels)(3, 4) = 7;
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 7");
 }
 
 TEST(CheckStation, RefusesAPriorWithoutAPoseBeforeAnythingIsComputed) {
@@ -179,7 +212,7 @@ TEST(CheckStation, DoesNotDoubtTheWhiteLevelOfWholeNumbersInMemory) {
 
 TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   Station station = scaled_station();
-  const auto of_prior = [&] { return expected_times(station, {}, "prior", {}, {}).back().seconds; };
+  const auto of_prior = [&] { return expected_times(station, {}, {.until = "prior"}, {}).back().seconds; };
   station.prior = cloud_of(station);
   const double of_cloud = of_prior();
   station.prior = {};

@@ -107,6 +107,17 @@ TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryChangesItsValues) {
   station_.prior = cloud;
   EXPECT_NE(json(&StationInputs::prior), values.parts);
 
+  TriangleMesh mesh{cloud, {{0, 0, 0}}};
+  station_.prior = mesh;
+  const auto of_mesh = of(&StationInputs::prior);
+  EXPECT_EQ(of_mesh.hashes.count("prior triangles"), 1u);
+  mesh.triangles[0][2] = 1;
+  station_.prior = mesh;
+  EXPECT_NE(json(&StationInputs::prior), of_mesh.parts);
+  mesh.vertices.points[0].y() = 9;
+  station_.prior = mesh;
+  EXPECT_NE(json(&StationInputs::prior), of_mesh.parts);
+
   // The same bytes as a raster of another shape.
   station_.prior = Image<float>({2, 3}, 1, 1.0F);
   const Json upright = json(&StationInputs::prior);
@@ -137,6 +148,15 @@ TEST_F(StationInputsTest, ScaleAndStatedSigmaChangeTheValuesOfAnyPrior) {
   EXPECT_NE(stated, larger);
   station_.file.prior_sigma = 0.25;
   EXPECT_NE(json(&StationInputs::prior), stated);
+}
+
+TEST_F(StationInputsTest, LabelsInMemoryChangeItsValues) {
+  const Json without = json(&StationInputs::optics);
+  station_.labels = Mask({3, 2}, 1, std::uint8_t{1});
+  const Json diffuse = json(&StationInputs::optics);
+  EXPECT_NE(diffuse, without);
+  (*station_.labels)(1, 1) = 2;
+  EXPECT_NE(json(&StationInputs::optics), diffuse);
 }
 
 TEST_F(StationInputsTest, FilesThatChangeDuringARunAreRefused) {
