@@ -8,6 +8,7 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
+#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {
@@ -55,9 +56,12 @@ void bind_fusion(py::module_& module) {
                return surface;
              });
   module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
-                          std::optional<double> refractive_index, const Options& options, int threads) {
+                          std::optional<double> refractive_index, const std::string& reflection,
+                          const std::optional<Mask>& labels, const Options& options, int threads) {
     RefineInput input;
     input.refractive_index = refractive_index;
+    input.reflection = reflection_choice(reflection, labels.has_value());
+    if (labels) input.labels = *labels;
     return computed(
         threads, [&](const Context& context) { return refine(state, prior, input, options.refine, context).surface; });
   });

@@ -9,6 +9,7 @@
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection.h"
+#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {
@@ -95,21 +96,18 @@ void bind_polarization(py::module_& module) {
       .def_readonly("zenith_rad", &ReflectionMap::zenith)
       .def_readonly("specular_share", &ReflectionMap::specular_share)
       .def_readonly("clamped_share", &ReflectionMap::clamped_share);
-  module.def("map_reflection", [](const PolarizationState& state, const std::optional<RasterView>& view,
-                                  const std::optional<Image<float>>& normals, double refractive_index,
-                                  const std::string& reflection, const Options& all_options, int threads) {
-    ReflectionOptions options = all_options.reflection;
-    options.refractive_index = refractive_index;
-    const auto choice = enum_value<ReflectionChoice>(reflection);
-    if (!choice || *choice == ReflectionChoice::labels) {
-      throw input_error("reflection = \"" + reflection + "\", expected \"auto\", \"diffuse\" or \"specular\"");
-    }
-    options.reflection = *choice;
-    return computed(threads, [&](const Context& context) {
-      return map_reflection(state, view ? &view->camera : nullptr, normals ? &*normals : nullptr, nullptr, options,
-                            context);
-    });
-  });
+  module.def("map_reflection",
+             [](const PolarizationState& state, const std::optional<RasterView>& view,
+                const std::optional<Image<float>>& normals, double refractive_index, const std::string& reflection,
+                const std::optional<Mask>& labels, const Options& all_options, int threads) {
+               ReflectionOptions options = all_options.reflection;
+               options.refractive_index = refractive_index;
+               options.reflection = reflection_choice(reflection, labels.has_value());
+               return computed(threads, [&](const Context& context) {
+                 return map_reflection(state, view ? &view->camera : nullptr, normals ? &*normals : nullptr,
+                                       labels ? &*labels : nullptr, options, context);
+               });
+             });
 }
 
 }  // namespace malus::python

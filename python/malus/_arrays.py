@@ -112,3 +112,15 @@ def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")
     return np.where((array != 0) & (array == array), np.uint8(255), np.uint8(0))  # NaN differs from itself
+
+
+def as_labels(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+    """H×W labels, uint8: 1 = diffuse, 2 = specular, 0 = to be decided; ValueError for another shape or other values. None without values."""
+    if values is None:
+        return None
+    array = unmasked(values, "labels")
+    if array.shape != shape:
+        raise ValueError(f"labels has shape {array.shape}, expected {shape}")
+    if not np.isin(array, (0, 1, 2)).all():
+        raise ValueError("labels has other values than 0 (to be decided), 1 (diffuse) and 2 (specular)")
+    return np.ascontiguousarray(array, dtype=np.uint8)

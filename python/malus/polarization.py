@@ -6,13 +6,13 @@ Angles are counter-clockwise from image +x as displayed; I(a) = i_un (1 + rho co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares, require_noise
+from malus._arrays import as_angles, as_image, as_intensities, as_labels, as_mask, as_shares, require_noise
 from malus._core import PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -133,16 +133,25 @@ def map_reflection(
     camera: Camera | None = None,
     prior_normals: ArrayLike | None = None,
     refractive_index: float = 1.5,
-    reflection: str = "auto",
+    reflection: Literal["auto", "diffuse", "specular"] = "auto",
+    labels: ArrayLike | None = None,
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> ReflectionMap:
     """Label pixels diffuse (1) or specular (2) and compute their zenith from the degree.
 
     camera None = orthographic. prior_normals: H×W×3, unit, camera frame, towards the camera; they decide between diffuse
-    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
+    and specular and pick the side of Brewster's angle. labels: H×W, 1 = diffuse, 2 = specular, 0 = to be decided; with them
+    `reflection` stays "auto". Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
     """
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
     return _core.map_reflection(
-        state, camera, normals, refractive_index, reflection, (options or Options()).to_json(), threads
+        state,
+        camera,
+        normals,
+        refractive_index,
+        reflection,
+        as_labels(labels, state.valid.shape),
+        (options or Options()).to_json(),
+        threads,
     )

@@ -1,6 +1,14 @@
-"""The coarse surface in the polarized view."""
+"""The coarse surface in the polarized view.
+
+`DepthPrior(depth, sigma, camera)` takes rasters of your own (H×W; z in the camera and its standard deviation, NaN = none). Such a
+sigma counts as a systematic error, like that of a shape: the fused surface is not anchored to these depths, and its sigma is
+nowhere smaller. `project_depth` with the option prior.sigma makes a prior whose errors are noise.
+"""
 
 from __future__ import annotations
+
+import json
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,11 +16,13 @@ from numpy.typing import ArrayLike
 from malus import _core
 from malus._arrays import as_image, as_mask, as_rows
 from malus._core import DepthPrior
+from malus._plain import plain
 from malus.camera import Camera
 from malus.options import Options
+from malus.station import ShapeValues
 from malus.threads import ALL_CORES
 
-__all__ = ["DepthPrior", "project_depth", "project_mesh", "project_points"]
+__all__ = ["DepthPrior", "project_depth", "project_mesh", "project_points", "project_shape"]
 
 
 def project_points(
@@ -78,6 +88,37 @@ def project_depth(
         raise ValueError(f"depth has shape {raster.shape}, expected {(camera.height, camera.width)} as the camera")
     return _core.project_depth(
         raster,
+        camera,
+        as_mask(mask, (camera.height, camera.width)),
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def project_shape(
+    shape: ShapeValues,
+    sigma: float,
+    camera: Camera,
+    *,
+    mask: ArrayLike | None = None,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> DepthPrior:
+    """As `project_points`, for a plane, sphere or cylinder of the world frame, given as in [prior] of a station file:
+    {"sphere": {"center": [x, y, z], "radius": r}}.
+
+    sigma: how far the object is from the shape, one standard deviation in the unit of the shape; prior.sigma of `options` is not
+    used. It is no noise: the surface is not anchored to the shape, and its sigma is nowhere smaller. Pixels of the object whose
+    rays miss the shape are filled from their surroundings. malus.InputError names keys and values as for a file; malus.DataError
+    if hardly any ray meets the shape.
+    """
+    if not isinstance(shape, Mapping):
+        raise ValueError(
+            f"shape is a {type(shape).__name__}, expected a mapping with the key plane, sphere or cylinder"
+        )
+    return _core.project_shape(
+        json.dumps(plain(shape, "shape: ")),
+        float(sigma),
         camera,
         as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),

@@ -62,4 +62,8 @@ StationFile read_given_station(const std::string& json, std::size_t image_count,
   return station;
 }
 
+Shape read_given_shape(const std::string& json) {
+  return read_shape_table(table_of(ParsedJson::parse(json), "shape: "));
+}
+
 }  // namespace malus

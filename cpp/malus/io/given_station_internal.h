@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <string>
 
+#include "malus/core/shape.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {
@@ -12,5 +13,9 @@ namespace malus {
 /// at the current folder.
 StationFile read_given_station(const std::string& json, std::size_t image_count, const CameraSpec& camera,
                                bool has_prior);
+
+/// Shape of the world frame. `json` is an object with one of the keys `plane`, `sphere` and `cylinder` of a station
+/// file's [prior], checked as in a file.
+Shape read_given_shape(const std::string& json);
 
 }  // namespace malus

@@ -211,6 +211,23 @@ TEST(Refine, SigmaIsPositiveAndCoversTheError) {
   EXPECT_GT(covered / count, 0.9);
 }
 
+/// How far an object is from a shape, or from depths whose errors are no noise, does not average out.
+TEST(Refine, SigmaIsNowhereBelowASystematicErrorOfThePrior) {
+  SyntheticOptions scene;
+  scene.model.environment.radiance.fill(0.1);
+  SyntheticStation station = make_station(scene);
+  ASSERT_EQ(station.prior.noise, 0);
+  const auto smallest_share = [&] {
+    const Image<float> sigma = refine(station.state, station.prior, {}, quick(), Context{}).surface.sigma;
+    float smallest = std::numeric_limits<float>::infinity();
+    for (std::size_t i = 0; i < sigma.count(); ++i) smallest = std::min(smallest, sigma[i] / station.prior.sigma[i]);
+    return smallest;
+  };
+  EXPECT_GE(smallest_share(), 1);
+  station.prior.noise = 0.5 * station_gsd_mm;
+  EXPECT_LT(smallest_share(), 0.9) << "noise averages out";
+}
+
 TEST(Refine, PixelsOutsideTheObjectStayEmpty) {
   SyntheticStation station = make_station({});
   for (int v = 20; v < 40; ++v) {
