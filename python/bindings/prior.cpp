@@ -59,6 +59,15 @@ void bind_prior(py::module_& module) {
   module.def("project_depth",
              [](const Image<float>& depth, const RasterView& view, const std::optional<Mask>& mask,
                 const Options& options, int threads) { return project(depth, view, mask, options, threads); });
+  module.def("project_swept",
+             [](Image<float>& depth, Image<float>& sigma, std::optional<Image<float>>& surface, const RasterView& view,
+                const std::optional<Mask>& mask, const Options& options, int threads) {
+               SweptDepth swept;
+               swept.depth = std::move(depth);
+               swept.sigma = std::move(sigma);
+               if (surface) swept.shape = std::move(*surface);
+               return project(swept, view, mask, options, threads);
+             });
   module.def("project_shape", [](const std::string& shape, double sigma, const RasterView& view,
                                  const std::optional<Mask>& mask, Options options, int threads) {
     options.prior.sigma = sigma;

@@ -57,8 +57,9 @@ def refine(
     reflection: that of the whole object, or "auto". labels: H×W, 1 = diffuse, 2 = specular, 0 = to be decided; with them
     `reflection` stays "auto". A stated reflection or labels exclude the map of the surroundings and bare metal.
 
-    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted;
-    `status` says how the solver ended, and `warnings` lists its warnings.
+    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted, by refinement
+    and comparison with the prior; the functions of malus.evidence say whether prior and images fit each other. `status` says how
+    the solver ended, and `warnings` lists its warnings.
     """
     return _core.refine(
         state,

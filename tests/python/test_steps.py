@@ -225,6 +225,39 @@ def test_a_depth_maps_prior_stands_where_its_camera_does(turned: Camera) -> None
     assert malus.prior.project_depth(np.full((96, 96), 800.0), turned).camera == turned.undistorted()
 
 
+def test_priors_of_swept_depths_on_arrays(dome: Dome) -> None:
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth, gsd = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2, dome.scene.gsd
+    sigma = np.full((96, 96), 0.3 * gsd)
+    holed = smooth.copy()
+    holed[30:50, 40:60] = np.nan
+    prior = malus.prior.project_swept(holed, sigma, dome.camera)
+    assert np.abs(prior.depth - smooth)[4:-4, 4:-4].max() < gsd
+    assert (prior.sigma > 0.299 * gsd).all() and prior.sigma[40, 50] > 5 * gsd
+    assert prior.noise > 0 and prior.filled_fraction == pytest.approx(400 / 96**2)
+    # The detail of a known surface stays.
+    known = malus.prior.project_swept(dome.scene.depth, sigma, dome.camera, surface=dome.scene.depth)
+    assert np.abs(known.depth - dome.scene.depth).max() < 0.05 * gsd
+    with pytest.raises(ValueError, match=r"sigma has shape \(3, 3\), expected \(96, 96\) as the camera"):
+        malus.prior.project_swept(holed, np.ones((3, 3)), dome.camera)
+
+
+def test_confidence_on_arrays_knows_the_prior(dome: Dome) -> None:
+    """That the prior's standard deviation is assumed, or much of it interpolated, was told by runs only."""
+    v, u = np.mgrid[:96, :96].astype(float)
+    depth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+
+    def reasons(options: malus.Options | None = None) -> str:
+        prior = malus.prior.project_depth(depth, dome.camera, options=options)
+        confidence = malus.fusion.refine(dome.state, prior, threads=2).confidence
+        return " ".join(confidence["reasons"])
+
+    assert "standard deviation of the coarse surface is assumed" in reasons()
+    depth[:, 30:60] = np.nan
+    stated = reasons(malus.Options(prior={"sigma": 0.5}))
+    assert "is assumed" not in stated and "On 31 % of the object the prior has no data of its own" in stated
+
+
 def test_a_known_reflection_on_arrays(dome: Dome) -> None:
     labels = np.full((96, 96), 2)
     labels[:, :20] = 1

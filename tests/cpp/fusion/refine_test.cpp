@@ -47,6 +47,13 @@ TEST(Refine, FindsTheBumpsOfASpecularSurface) {
   options.iterations = 6;
   const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
   EXPECT_EQ(result.report.specular_share, 1);
+  double error = 0, mirrored = 0;
+  for (std::size_t i = 0; i < station.truth.count(); ++i) {
+    const double truth = station.state.i_un[i] - 0.5 * scene.model.mirror.body;
+    error += std::abs(result.report.mirrored[i] - truth);
+    mirrored += truth;
+  }
+  EXPECT_LT(error, 0.15 * mirrored) << "all light but that of the body is mirrored";
   EXPECT_LT(rms_error_gsd(result.surface.depth, station.truth, station.prior.camera),
             0.35 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
 }
