@@ -30,6 +30,7 @@ namespace {
 Station station_from_arrays(std::vector<Image<float>>& images, bool whole_numbers, const CameraValues& camera,
                             const std::string& tables, const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
+                            const std::optional<Array<std::uint32_t>>& prior_triangles,
                             const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask) {
   Station station;
   const auto [lens, pose] = to_camera(camera, "camera");
@@ -37,7 +38,11 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
   if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
   station.images = std::move(images);
   station.whole_numbers = whole_numbers;
-  if (prior_points) station.prior = to_cloud(*prior_points, prior_normals);
+  if (prior_points && prior_triangles) {
+    station.prior = to_mesh(to_cloud(*prior_points), *prior_triangles);
+  } else if (prior_points) {
+    station.prior = to_cloud(*prior_points, prior_normals);
+  }
   if (prior_depth) station.prior = *prior_depth;
   station.mask = mask;
   return station;
@@ -169,7 +174,7 @@ void bind_run(py::module_& module) {
           "load", [](const std::string& path) { return Station::load(path); }, WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
-                  py::arg("prior_depth"), py::arg("mask"))
+                  py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"))

@@ -94,6 +94,14 @@ def as_rows(
     return array
 
 
+def as_triangles(values: ArrayLike, name: str, vertices: int) -> NDArray[np.uint32]:
+    """M×3 indices of so many vertices; ValueError for another shape or indices beyond them."""
+    faces = as_rows(values, name, dtype=np.int64)
+    if faces.size and not (faces.min() >= 0 and faces.max() < vertices):
+        raise ValueError(f"{name} has indices from {faces.min()} to {faces.max()}, expected 0 to {vertices - 1}")
+    return faces.astype(np.uint32)
+
+
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
     """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
     if not (full_well_e > 0 and np.isfinite(full_well_e)):

@@ -54,6 +54,7 @@ class Station:
         tables: str,
         prior_points: _Float64 | None,
         prior_normals: _Float32 | None,
+        prior_triangles: NDArray[np.uint32] | None,
         prior_depth: _Float32 | None,
         mask: _Bytes | None,
     ) -> Station: ...

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask, as_rows, require_shares
+from malus._arrays import as_image, as_images, as_mask, as_rows, as_triangles, require_shares
 from malus._files import require_utf8
 from malus._plain import plain
 from malus.camera import Camera
@@ -120,6 +120,7 @@ class Station:
         *,
         prior_points: ArrayLike | None = None,
         prior_normals: ArrayLike | None = None,
+        prior_triangles: ArrayLike | None = None,
         prior_depth: ArrayLike | None = None,
         prior_sigma: float | None = None,
         mask: ArrayLike | None = None,
@@ -144,7 +145,7 @@ class Station:
         of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
-        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
+        without prior_normals (N×3, towards the camera), or as the vertices of prior_triangles (M×3 indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
         `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
         prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
 
@@ -160,6 +161,7 @@ class Station:
         if sum(given is not None for given in (prior_points, prior_depth, prior)) > 1:
             raise ValueError("prior_points, prior_depth and prior: more than one is given, expected one of them")
         points, normals = _oriented_points(prior_points, prior_normals)
+        triangles = _triangles(points, normals, prior_triangles)
         depth = None if prior_depth is None else as_image(prior_depth, "prior_depth")
         if depth is not None and depth.shape != shape:
             raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
@@ -186,6 +188,7 @@ class Station:
             tables=json.dumps(plain(tables, "station: ")),
             prior_points=points,
             prior_normals=normals,
+            prior_triangles=triangles,
             prior_depth=depth,
             mask=as_mask(mask, shape),
         )
@@ -267,3 +270,15 @@ def _oriented_points(
         return None, None
     checked = as_rows(points, "prior_points")
     return checked, None if normals is None else as_rows(normals, "prior_normals", len(checked), np.float32)
+
+
+def _triangles(
+    points: NDArray[np.float64] | None, normals: NDArray[np.float32] | None, triangles: ArrayLike | None
+) -> NDArray[np.uint32] | None:
+    if triangles is None:
+        return None
+    if points is None:
+        raise ValueError("prior_triangles are given without prior_points, their vertices")
+    if normals is not None:
+        raise ValueError("prior_triangles and prior_normals: both are given, expected one: a mesh needs no normals")
+    return as_triangles(triangles, "prior_triangles", len(points))

@@ -198,6 +198,15 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
         ({"prior_normals": np.zeros((3, 3))}, "without prior_points"),
         ({"prior_points": np.zeros((3, 3)), "prior_normals": np.zeros((2, 3))}, r"prior_normals has shape \(2, 3\)"),
         ({"prior_points": np.zeros((3, 3)), "prior": {"mesh": "x.ply"}}, "more than one is given"),
+        ({"prior_triangles": [[0, 1, 2]]}, "without prior_points"),
+        (
+            {"prior_points": np.zeros((3, 3)), "prior_normals": np.zeros((3, 3)), "prior_triangles": [[0, 1, 2]]},
+            "a mesh needs no normals",
+        ),
+        (
+            {"prior_points": np.zeros((3, 3)), "prior_triangles": [[0, 1, 3]]},
+            "prior_triangles has indices from 0 to 3, expected 0 to 2",
+        ),
     ],
 )
 def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
@@ -206,12 +215,19 @@ def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes
 
 
 def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
-    plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
+    plane: dict[str, Any] = {"point": [0, 0, 200], "normal": [0, 0, 1]}
     depth = np.full((40, 60), 200.0)
-    priors: list[dict[str, Any]] = [{"prior": plane}, {"prior_depth": depth, "prior_sigma": 0.5}]
-    for prior in priors:
+    corners = [[-90, -60, 200], [90, -60, 200], [90, 60, 200], [-90, 60, 200]]
+    priors: dict[str, dict[str, Any]] = {
+        "plane": {"prior": {"plane": plane, "sigma": 0.5}},
+        "depth": {"prior_depth": depth, "prior_sigma": 0.5},
+        "mesh": {"prior_points": corners, "prior_triangles": [[0, 1, 2], [0, 2, 3]], "prior_sigma": 0.5},
+    }
+    for kind, prior in priors.items():
         station = in_memory(pictures, **prior)
-        assert station.describe()["prior_sigma"] == 0.5
+        described = station.describe()
+        assert (described["prior"], described["prior_sigma"]) == (kind, 0.5)
+        assert described.get("prior_plane") == (plane if kind == "plane" else None)
         found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
         np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-6)
         np.testing.assert_allclose(found.prior_sigma, 0.5)

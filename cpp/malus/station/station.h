@@ -15,10 +15,10 @@
 
 namespace malus {
 
-/// Source of the coarse surface: none (yet); a file; a shape or a cloud in the world frame; a depth map (z in the
-/// undistorted view, NaN = none); a depth map measured over windows.
-using PriorSource =
-    std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, Image<float>, SweptDepth>;
+/// Source of the coarse surface: none (yet); a file; a shape, a cloud or a mesh in the world frame; a depth map (z in
+/// the undistorted view, NaN = none); a depth map measured over windows.
+using PriorSource = std::variant<std::monostate, CloudFile, MeshFile, DepthFile, Shape, PointCloud, TriangleMesh,
+                                 Image<float>, SweptDepth>;
 
 /// What the photogrammetry that found a station's camera and prior reports.
 struct Photogrammetry {

@@ -130,6 +130,10 @@ Json StationInputs::prior() {
               {"normals", inputs.array("prior normals", cloud.normals)},
               {"colors", inputs.array("prior colors", cloud.colors)}};
     }
+    Json operator()(const TriangleMesh& mesh) const {
+      return {{"vertices", inputs.array("prior vertices", mesh.vertices.points)},
+              {"triangles", inputs.array("prior triangles", mesh.triangles)}};
+    }
     Json operator()(const Image<float>& depth) const { return {{"depth", inputs.array("prior depth", depth)}}; }
     Json operator()(const SweptDepth& swept) const {
       return {{"swept", inputs.array("swept depth", swept.depth)},

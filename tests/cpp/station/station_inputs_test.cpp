@@ -107,6 +107,19 @@ TEST_F(StationInputsTest, EveryPartOfAPriorInMemoryChangesItsValues) {
   station_.prior = cloud;
   EXPECT_NE(json(&StationInputs::prior), values.parts);
 
+  TriangleMesh mesh;
+  mesh.vertices.points = {{1, 2, 3}, {2, 2, 3}, {1, 3, 3}};
+  mesh.triangles.push_back({0, 1, 2});
+  station_.prior = mesh;
+  const Json one_side = json(&StationInputs::prior);
+  mesh.triangles.front() = {0, 2, 1};
+  station_.prior = mesh;
+  EXPECT_NE(json(&StationInputs::prior), one_side);
+  mesh.triangles.front() = {0, 1, 2};
+  mesh.vertices.points.front().z() = 4;
+  station_.prior = mesh;
+  EXPECT_NE(json(&StationInputs::prior), one_side);
+
   // The same bytes as a raster of another shape.
   station_.prior = Image<float>({2, 3}, 1, 1.0F);
   const Json upright = json(&StationInputs::prior);
