@@ -306,7 +306,15 @@ double raster_sigma(double depth, double focal, const PriorOptions& options) {
   return options.sigma ? *options.sigma : options.raster_sigma_gsd * depth / focal;
 }
 
-/// Fills object pixels without a depth by a spline through their surroundings.
+/// Pixels without a depth.
+Mask missing_in(const Image<float>& depth) {
+  Mask missing(depth.size());
+  for (std::size_t i = 0; i < depth.count(); ++i) missing[i] = depth[i] > 0 ? 0 : 255;
+  return missing;
+}
+
+/// Fills object pixels without a depth by a spline through their surroundings. Their sigma grows with the distance from
+/// the nearest depth: the spline's own variance is that of a surface as smooth as its surroundings.
 void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options, const Context& context) {
   constexpr int surroundings_px = 8;
   Mask holes(mask.size());
@@ -339,21 +347,41 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
   const Surface surface = smooth_cloud(std::move(points), region, how, options, context);
+  const Mask missing = missing_in(prior.depth);
+  cv::Mat distance;
+  cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   parallel_rows(context, mask.height(), [&](int v) {
     for (int u = 0; u < mask.width(); ++u) {
       if (holes(u, v) == 0) continue;
       const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
+      const double of_spline_gsd = surface.noise * std::sqrt(surface.variance(u, v));
+      const double of_hole_gsd = options.hole_slope * distance.at<float>(v, u);
       prior.depth(u, v) = static_cast<float>(depth);
-      prior.sigma(u, v) = static_cast<float>(std::hypot(
-          raster_sigma(depth, focal, options), surface.noise * std::sqrt(surface.variance(u, v)) * depth / focal));
+      prior.sigma(u, v) = static_cast<float>(
+          std::hypot(raster_sigma(depth, focal, options), std::hypot(of_spline_gsd, of_hole_gsd) * depth / focal));
     }
   });
   prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
 
+/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
+/// over an area.
+void take_as_noise(DepthPrior& prior) {
+  // Neighboring pixels of a measured surface share their errors.
+  constexpr double independent_px = 4;
+  std::vector<float> sigmas;
+  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
+  prior.noise = median_in_place(sigmas);
+  prior.spacing_px = independent_px;
+}
+
+/// What the standard deviation of a raster's depth is.
+enum class RasterError { noise, systematic };
+
 /// Prior of a depth raster in the station view; `source` names it in messages.
-DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, const Pinhole& camera,
-                           const Pose& pose, const Mask& mask, const PriorOptions& options, const Context& context) {
+DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source, RasterError error,
+                           const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options,
+                           const Context& context) {
   const OpenCvThreads opencv_threads(context.threads);
   DepthPrior prior = empty_prior(camera, pose);
   std::size_t known = 0, elsewhere = 0;
@@ -372,23 +400,12 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
                      std::to_string(options.min_points) + " (" + std::to_string(elsewhere) +
                      " pixels outside the mask have one): check that it and the camera pose are in one frame and unit");
   }
+  prior.spacing_px = 1;
+  if (error == RasterError::noise) take_as_noise(prior);  // that of holes is none
   fill_holes(prior, mask, options, context);
   prior.points_total = static_cast<double>(known + elsewhere);
   prior.points_used = static_cast<double>(known);
-  prior.spacing_px = 1;
   prior.assumes_sigma = !options.sigma;
-  return prior;
-}
-
-/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
-/// over an area.
-DepthPrior with_noise(DepthPrior prior) {
-  // Neighboring pixels of a measured surface share their errors.
-  constexpr double independent_px = 4;
-  std::vector<float> sigmas;
-  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
-  prior.noise = median_in_place(sigmas);
-  prior.spacing_px = independent_px;
   return prior;
 }
 
@@ -421,13 +438,6 @@ Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
   all.hull_fraction = hull / object;
   all.filled_fraction = missing / object;
   return all;
-}
-
-/// Pixels without a depth.
-Mask missing_in(const Image<float>& depth) {
-  Mask missing(depth.size());
-  for (std::size_t i = 0; i < depth.count(); ++i) missing[i] = depth[i] > 0 ? 0 : 255;
-  return missing;
 }
 
 /// The depths, each pixel without one with that of the nearest pixel that has one.
@@ -510,8 +520,8 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "rasterizing the mesh");
   warn_if_rounded(mesh.vertices, camera, pose, "prior mesh", context);
-  return with_noise(
-      prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", camera, pose, mask, options, context));
+  return prior_of_raster(rasterize_mesh(mesh, camera, pose, context), "prior mesh", RasterError::noise, camera, pose,
+                         mask, options, context);
 }
 
 void require_depth_map(const Image<float>& depth, Size size) {
@@ -524,7 +534,7 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   require_depth_map(depth, camera.size);
-  return with_noise(prior_of_raster(depth, "prior depth map", camera, pose, mask, options, context));
+  return prior_of_raster(depth, "prior depth map", RasterError::noise, camera, pose, mask, options, context);
 }
 
 void require_sigma(const Shape& shape, const PriorOptions& options) {
@@ -538,8 +548,8 @@ DepthPrior project_prior(const Shape& shape, const Pinhole& camera, const Pose& 
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
   require_sigma(shape, options);
-  return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)), camera, pose,
-                         mask, options, context);
+  return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)),
+                         RasterError::systematic, camera, pose, mask, options, context);
 }
 
 DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const Pose& pose, const Mask& mask,

@@ -37,7 +37,7 @@ void require_depth_map(const Image<float>& depth, Size size);
 
 /// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive depths
 /// are taken unchanged, with `sigma` or `raster_sigma_gsd`; other object pixels are filled by a spline through their
-/// surroundings.
+/// surroundings, and their sigma grows by `hole_slope` with the distance from the nearest depth.
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 

@@ -537,7 +537,9 @@ TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {
   }
   EXPECT_LT(rms_gsd(prior.depth, plane_depth, in_hole), 0.02);
   EXPECT_GT(prior.filled_fraction, 0);
-  EXPECT_GE(prior.sigma(50, 40), prior.sigma(5, 5));
+  EXPECT_NEAR(prior.sigma(5, 5) / gsd_mm, 1, 0.1);
+  EXPECT_NEAR(prior.sigma(50, 40) / gsd_mm, 6, 1) << "in the middle of a hole of this radius";
+  EXPECT_NEAR(prior.noise / gsd_mm, 1, 0.1) << "of the depths, not of the hole";
   EXPECT_TRUE(prior.assumes_sigma);
 }
 
