@@ -5,12 +5,27 @@
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/assess/assessed_confidence_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "words.h"
 
 namespace malus::python {
+namespace {
+
+/// The surface with the confidence that an assessment gives it, as in a run.
+FusedSurface assessed(FusedSurface surface, const DepthPrior& prior, const PolarizationState& state,
+                      const Context& context) {
+  AssessInput input;
+  input.surface = &surface;
+  input.prior = &prior;
+  input.polarization = &state;
+  surface.confidence = assessed_confidence(input, context);
+  return surface;
+}
+
+}  // namespace
 
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
@@ -54,16 +69,17 @@ void bind_fusion(py::module_& module) {
                });
                return surface;
              });
-  module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
-                          std::optional<double> refractive_index, const std::string& reflection,
-                          const std::optional<Mask>& labels, const Options& options, int threads) {
-    RefineInput input;
-    input.refractive_index = refractive_index;
-    input.reflection = reflection_choice(reflection, labels.has_value());
-    if (labels) input.labels = *labels;
-    return computed(
-        threads, [&](const Context& context) { return refine(state, prior, input, options.refine, context).surface; });
-  });
+  module.def("refine",
+             [](const PolarizationState& state, const DepthPrior& prior, std::optional<double> refractive_index,
+                const std::string& reflection, const std::optional<Mask>& labels, const Options& options, int threads) {
+               RefineInput input;
+               input.refractive_index = refractive_index;
+               input.reflection = reflection_choice(reflection, labels.has_value());
+               if (labels) input.labels = *labels;
+               return computed(threads, [&](const Context& context) {
+                 return assessed(refine(state, prior, input, options.refine, context).surface, prior, state, context);
+               });
+             });
 }
 
 }  // namespace malus::python

@@ -6,13 +6,14 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
+#include "malus/io/given_station_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "words.h"
 
 namespace malus::python {
 namespace {
 
-/// The prior of a cloud, mesh or depth map.
+/// The prior of a cloud, mesh, depth map or shape.
 template <class Source>
 DepthPrior project(const Source& source, const RasterView& view, const std::optional<Mask>& given_mask,
                    const Options& options, int threads) {
@@ -55,9 +56,22 @@ void bind_prior(py::module_& module) {
              [](const Array<double>& vertices, const Array<std::uint32_t>& triangles, const RasterView& view,
                 const std::optional<Mask>& mask, const Options& options,
                 int threads) { return project(to_mesh(to_cloud(vertices), triangles), view, mask, options, threads); });
-  module.def("project_depth", [](const Image<float>& depth, const RasterView& view, const std::optional<Mask>& mask,
-                                 const Options& options, int threads) {
-    return project(depth, RasterView{view.camera, Pose()}, mask, options, threads);
+  module.def("project_depth",
+             [](const Image<float>& depth, const RasterView& view, const std::optional<Mask>& mask,
+                const Options& options, int threads) { return project(depth, view, mask, options, threads); });
+  module.def("project_swept",
+             [](Image<float>& depth, Image<float>& sigma, std::optional<Image<float>>& surface, const RasterView& view,
+                const std::optional<Mask>& mask, const Options& options, int threads) {
+               SweptDepth swept;
+               swept.depth = std::move(depth);
+               swept.sigma = std::move(sigma);
+               if (surface) swept.shape = std::move(*surface);
+               return project(swept, view, mask, options, threads);
+             });
+  module.def("project_shape", [](const std::string& shape, double sigma, const RasterView& view,
+                                 const std::optional<Mask>& mask, Options options, int threads) {
+    options.prior.sigma = sigma;
+    return project(read_given_shape(shape), view, mask, options, threads);
   });
 }
 

@@ -368,6 +368,18 @@ def project_mesh(
     threads: int,
 ) -> DepthPrior: ...
 def project_depth(depth: _Float32, camera: Camera, mask: _Bytes | None, options: str, threads: int) -> DepthPrior: ...
+def project_swept(
+    depth: _Float32,
+    sigma: _Float32,
+    surface: _Float32 | None,
+    camera: Camera,
+    mask: _Bytes | None,
+    options: str,
+    threads: int,
+) -> DepthPrior: ...
+def project_shape(
+    shape: str, sigma: float, camera: Camera, mask: _Bytes | None, options: str, threads: int
+) -> DepthPrior: ...
 def solve_height(
     state: PolarizationState,
     reflection: ReflectionMap,

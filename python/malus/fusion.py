@@ -51,9 +51,11 @@ def refine(
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
 
-    reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide).
+    reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide). Anything but "auto"
+    excludes the map of the surroundings and bare metal.
 
-    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted;
+    The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted, by
+    refinement and comparison with the prior; the functions of malus.evidence say whether prior and images fit each other.
     `status` says how the solver ended, and `warnings` lists its warnings.
     """
     name, labels = as_reflection(reflection, state.degree.shape)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from malus import _core
 from malus._arrays import as_image, as_images, as_labels, as_mask, as_rows, as_triangles, require_shares, unmasked
 from malus._files import require_utf8
+from malus._plain import plain
 from malus.camera import Camera
 from malus.capture import BayerPattern
-from malus.errors import InputError
 
 
 class PolarizedValues(TypedDict, total=False):
@@ -69,15 +68,20 @@ class CylinderValues(TypedDict):
     radius: float
 
 
-class PriorValues(TypedDict, total=False):
+class ShapeValues(TypedDict, total=False):
+    """One of the shapes that [prior] can have."""
+
+    plane: PlaneValues
+    sphere: SphereValues
+    cylinder: CylinderValues
+
+
+class PriorValues(ShapeValues, total=False):
     """[prior]: one file (cloud, mesh, depth) or one shape (plane, sphere, cylinder), and its standard deviation, required for a shape."""
 
     cloud: str
     mesh: str
     depth: str
-    plane: PlaneValues
-    sphere: SphereValues
-    cylinder: CylinderValues
     sigma: float
 
 
@@ -191,7 +195,7 @@ class Station:
             images=stack,
             whole_numbers=has_white and all(np.asarray(image).dtype.kind in "iu" for image in images),
             camera=None if camera is None else camera.values(),
-            tables=json.dumps(_plain(tables, "station: ")),
+            tables=json.dumps(plain(tables, "station: ")),
             **arrays,
             mask=as_mask(mask, shape),
             labels=labels,
@@ -304,15 +308,13 @@ def _prior_arrays(
     return arrays
 
 
-def _plain(value: Any, where: str) -> Any:
-    """Convert arrays, NumPy numbers and paths to values that JSON has; InputError for numbers that are not finite."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        inner = f"{where}[{{}}]" if where.endswith(": ") else f"{where}.{{}}"
-        return {key: _plain(item, inner.format(key)) for key, item in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{where} = {value}, expected a finite number")
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+def _triangles(
+    points: NDArray[np.float64] | None, normals: NDArray[np.float32] | None, triangles: ArrayLike | None
+) -> NDArray[np.uint32] | None:
+    if triangles is None:
+        return None
+    if points is None:
+        raise ValueError("prior_triangles are given without prior_points, their vertices")
+    if normals is not None:
+        raise ValueError("prior_triangles and prior_normals: both are given, expected one: a mesh needs no normals")
+    return as_triangles(triangles, "prior_triangles", len(points))

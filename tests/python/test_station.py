@@ -216,17 +216,19 @@ def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes
 
 
 def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
-    plane: dict[str, Any] = {"plane": {"point": [0, 0, 200], "normal": [0, 0, 1]}, "sigma": 0.5}
+    plane: dict[str, Any] = {"point": [0, 0, 200], "normal": [0, 0, 1]}
     depth = np.full((40, 60), 200.0)
     corners = np.array([[-90, -90, 200], [90, -90, 200], [90, 90, 200], [-90, 90, 200]])
-    priors: list[dict[str, Any]] = [
-        {"prior": plane},
-        {"prior_depth": depth, "prior_sigma": 0.5},
-        {"prior_mesh": (corners, [[0, 2, 1], [0, 3, 2]]), "prior_sigma": 0.5},
-    ]
-    for prior in priors:
+    priors: dict[str, dict[str, Any]] = {
+        "plane": {"prior": {"plane": plane, "sigma": 0.5}},
+        "depth": {"prior_depth": depth, "prior_sigma": 0.5},
+        "mesh": {"prior_mesh": (corners, [[0, 2, 1], [0, 3, 2]]), "prior_sigma": 0.5},
+    }
+    for kind, prior in priors.items():
         station = in_memory(pictures, **prior)
-        assert station.describe()["prior_sigma"] == 0.5
+        described = station.describe()
+        assert (described["prior"], described["prior_sigma"]) == (kind, 0.5)
+        assert described.get("prior_plane") == (plane if kind == "plane" else None)
         found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
         np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-6)
         np.testing.assert_allclose(found.prior_sigma, 0.5)

@@ -7,6 +7,7 @@ import inspect
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -154,6 +155,107 @@ def test_priors_on_arrays(dome: Dome) -> None:
     holed[40:44, 40:44] = np.nan
     depth = malus.prior.project_depth(holed, camera)
     assert np.abs(depth.depth - truth)[inside].max() < 1.5 * gsd
+
+
+@pytest.fixture(scope="module")
+def turned(dome: Dome) -> Camera:
+    """The dome's camera elsewhere in the world."""
+    rotation = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    camera = dome.camera
+    return Camera(camera.model, camera.width, camera.height, camera.params, rotation, [10.0, -20, 30])
+
+
+def test_priors_of_shapes_on_arrays(turned: Camera) -> None:
+    rotation, translation = turned.pose()
+    v, u = np.mgrid[:96, :96].astype(float)
+    rays = np.stack([(u - turned.cx) / turned.fx, (v - turned.cy) / turned.fy, np.ones_like(u)], -1)
+
+    def world(in_cam: list[float]) -> np.ndarray:
+        return (np.array(in_cam) - translation) @ rotation
+
+    def points(prior: malus.prior.DepthPrior) -> np.ndarray:
+        return (prior.depth[..., None] * rays - translation) @ rotation
+
+    center, axis = world([1, -2, 900]), np.array([3.0, 1, 0])
+    normal = np.array([0, 0.1, -1]) @ rotation
+    shapes: dict[str, Any] = {
+        "plane": {"point": center, "normal": normal},
+        "sphere": {"center": center, "radius": 100},
+        "cylinder": {"point": center, "axis": axis, "radius": 100},
+    }
+
+    def project(kind: str) -> malus.prior.DepthPrior:
+        shape: Any = {kind: shapes[kind]}
+        return malus.prior.project_shape(shape, 0.5, turned)
+
+    priors = {kind: project(kind) for kind in shapes}
+    off = {kind: points(prior) - center for kind, prior in priors.items()}
+    assert np.abs(off["plane"] @ normal).max() < 1e-2
+    assert np.abs(np.linalg.norm(off["sphere"], axis=-1) - 100).max() < 1e-2 and priors["sphere"].depth.max() < 900
+    from_axis = np.linalg.norm(np.cross(off["cylinder"], axis / np.linalg.norm(axis)), axis=-1)
+    assert np.abs(from_axis - 100).max() < 1e-2
+    images = np.random.default_rng(1).uniform(0.2, 0.3, (4, 96, 96))
+    for kind, prior in priors.items():
+        np.testing.assert_allclose(prior.sigma, 0.5)
+        assert prior.camera == turned.undistorted() and prior.noise == 0
+        given: Any = {kind: shapes[kind], "sigma": 0.5}
+        station = malus.Station(images, [0, 45, 90, 135], turned, prior=given)
+        found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
+        np.testing.assert_allclose(found.prior_depth, prior.depth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "sigma", "message"),
+    [
+        ({}, 1, "0 shapes, expected exactly one"),
+        ({"ball": {}}, 1, r"\[prior\].ball: unknown key"),
+        ({"sphere": {"center": [0, 0, 900], "radius": -3}}, 1, r"\[prior\].sphere.radius = -3"),
+        ({"sphere": {"center": [0, 0, np.nan], "radius": 3}}, 1, r"shape: \[sphere\].center\[2\] = nan"),
+        ({"plane": {"point": [0, 0, 900], "normal": [0, 0, 0]}}, 1, r"\[prior\].plane.normal.*not all zero"),
+        ({"plane": {"point": [0, 0, 900], "normal": [0, 0, 1]}}, 0, "prior.sigma = 0"),
+    ],
+)
+def test_shapes_that_are_none_are_refused(dome: Dome, shape: Any, sigma: float, message: str) -> None:
+    with pytest.raises(malus.InputError, match=message):
+        malus.prior.project_shape(shape, sigma, dome.camera)
+
+
+def test_a_depth_maps_prior_stands_where_its_camera_does(turned: Camera) -> None:
+    """It stood in the camera's frame, and so did the mesh of a surface fused with it."""
+    assert malus.prior.project_depth(np.full((96, 96), 800.0), turned).camera == turned.undistorted()
+
+
+def test_priors_of_swept_depths_on_arrays(dome: Dome) -> None:
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth, gsd = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2, dome.scene.gsd
+    sigma = np.full((96, 96), 0.3 * gsd)
+    holed = smooth.copy()
+    holed[30:50, 40:60] = np.nan
+    prior = malus.prior.project_swept(holed, sigma, dome.camera)
+    assert np.abs(prior.depth - smooth)[4:-4, 4:-4].max() < gsd
+    assert (prior.sigma > 0.299 * gsd).all() and prior.sigma[40, 50] > 5 * gsd
+    assert prior.noise > 0 and prior.filled_fraction == pytest.approx(400 / 96**2)
+    # The detail of a known surface stays.
+    known = malus.prior.project_swept(dome.scene.depth, sigma, dome.camera, surface=dome.scene.depth)
+    assert np.abs(known.depth - dome.scene.depth).max() < 0.05 * gsd
+    with pytest.raises(ValueError, match=r"sigma has shape \(3, 3\), expected \(96, 96\) as the camera"):
+        malus.prior.project_swept(holed, np.ones((3, 3)), dome.camera)
+
+
+def test_confidence_on_arrays_knows_the_prior(dome: Dome) -> None:
+    """That the prior's standard deviation is assumed, or much of it interpolated, was told by runs only."""
+    v, u = np.mgrid[:96, :96].astype(float)
+    depth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+
+    def reasons(options: malus.Options | None = None) -> str:
+        prior = malus.prior.project_depth(depth, dome.camera, options=options)
+        confidence = malus.fusion.refine(dome.state, prior, threads=2).confidence
+        return " ".join(confidence["reasons"])
+
+    assert "standard deviation of the coarse surface is assumed" in reasons()
+    depth[:, 30:60] = np.nan
+    stated = reasons(malus.Options(prior={"sigma": 0.5}))
+    assert "is assumed" not in stated and "On 31 % of the object the prior has no data of its own" in stated
 
 
 def test_light_on_arrays(dome: Dome) -> None:

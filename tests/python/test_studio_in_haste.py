@@ -593,6 +593,27 @@ def test_cameras_and_surface_are_proposed_from_the_stations_own_folder(served: S
     shutil.rmtree(served.folder / "objects")
 
 
+def test_a_standard_deviation_goes_with_its_surface(served: Served, page: Any, station: Path) -> None:
+    sigma, surface = page.get_by_label("Its standard deviation"), page.get_by_label("Coarse surface (prior)")
+    sigma.fill("0.02")
+    sigma.press("Tab")
+    wait_for(page, lambda: 'cloud = "dense/cloud.ply"\nsigma = 0.02' in station.read_text())
+    surface.select_option("")
+    wait_for(page, lambda: "[prior]" not in station.read_text())
+
+    # A shape is shown, and another surface replaces it with its standard deviation.
+    file = served.folder / "station_shape.toml"
+    shape = "plane = { point = [0, 0, 0], normal = [0, 0, 1] }\nsigma = 2"
+    file.write_text(STATION.replace('cloud = "dense/cloud.ply"', shape))
+    go(page, "Images")
+    page.get_by_role("button", name="Open station_shape.toml").click()
+    page.locator("#open-station", has_text="station_shape.toml").wait_for()
+    page.locator("main:not([aria-busy])").wait_for()
+    assert surface.input_value() == "plane:" and sigma.input_value() == "2"
+    surface.select_option("cloud:dense/cloud.ply")
+    wait_for(page, lambda: file.read_text() == STATION)
+
+
 def test_a_name_that_is_taken_meanwhile_is_not_proposed_again(served: Served, page: Any) -> None:
     go(page, "Images")
     page.get_by_role("button", name="pol (6 images)").click()

@@ -74,4 +74,8 @@ StationFile read_given_station(const std::string& json, const GivenInMemory& giv
   return station;
 }
 
+Shape read_given_shape(const std::string& json) {
+  return read_shape_table(table_of(ParsedJson::parse(json), "shape: "));
+}
+
 }  // namespace malus

@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "malus/core/shape.h"
 #include "malus/io/station_spec.h"
 
 namespace malus {
@@ -20,5 +21,9 @@ struct GivenInMemory {
 /// tables, without images, mask, camera and photos; the tables are checked as those of a file are. Relative paths start
 /// at the current folder.
 StationFile read_given_station(const std::string& json, const GivenInMemory& given);
+
+/// Shape of the world frame. `json` is an object with one of the keys `plane`, `sphere` and `cylinder` of a station
+/// file's [prior], checked as in a file.
+Shape read_given_shape(const std::string& json);
 
 }  // namespace malus

@@ -820,6 +820,15 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   return station;
 }
 
+Shape read_shape_table(const toml::table& root) {
+  const TomlTable table(root, "shape", "[prior]", {PlaneShape::name, SphereShape::name, CylinderShape::name});
+  if (root.size() != 1) {
+    throw input_error("shape: " + std::to_string(root.size()) +
+                      " shapes, expected exactly one of plane, sphere and cylinder");
+  }
+  return *read_shape(table);
+}
+
 StationFile read_station_file(const std::filesystem::path& given_path) {
   const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
   return read_station_tables(read_toml(path, "station file"), path, nullptr);

@@ -15,4 +15,7 @@ namespace malus {
 /// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask, camera or photos.
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given);
 
+/// The shape in a table with one of the keys `plane`, `sphere` and `cylinder` of [prior].
+Shape read_shape_table(const toml::table& root);
+
 }  // namespace malus

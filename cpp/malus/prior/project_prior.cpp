@@ -567,9 +567,17 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
   return number ? of(without_number(depth, *number, mask, context)) : of(depth);
 }
 
+void require_sigma(const Shape& shape, const PriorOptions& options) {
+  if (options.sigma) return;
+  throw input_error("prior " + std::string(name_of(shape)) +
+                    ": sigma is missing, expected how far the object is from the shape, one standard deviation in the "
+                    "station's unit");
+}
+
 DepthPrior project_prior(const Shape& shape, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
+  require_sigma(shape, options);
   return prior_of_raster(depth_of_shape(shape, camera, pose), "prior " + std::string(name_of(shape)),
                          Deviation::systematic, camera, pose, mask, options, context);
 }

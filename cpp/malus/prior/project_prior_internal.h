@@ -42,6 +42,9 @@ void require_depth_map(const Image<float>& depth, Size size);
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 
+/// Throws an input error unless `sigma` states how far the object is from the shape: nothing else tells it.
+void require_sigma(const Shape& shape, const PriorOptions& options);
+
 /// Coarse surface given as a shape (world frame, unit of the station): the side of the shape nearest to the camera.
 /// `sigma` is the distance of the object from the shape. It is not noise: averaging over an area does not reduce it.
 /// Object pixels whose rays miss the shape are filled as above. Throws the errors above.

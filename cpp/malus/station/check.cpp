@@ -16,6 +16,8 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/polarization/reflection_internal.h"
 #include "malus/prior/project_prior_internal.h"
+#include "malus/prior/rasterize_mesh_internal.h"
+#include "malus/prior/shape_depth_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
 #include "malus/station/prior_scale_internal.h"
@@ -72,10 +74,11 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
   }
 }
 
-/// The cloud's points that fall on the object, in the camera frame.
-std::vector<Eigen::Vector3d> points_on_object(const PointCloud& cloud, const CameraSpec& camera, const Mask& object) {
+/// The points (world frame) that fall on the object, in the camera frame.
+std::vector<Eigen::Vector3d> points_on_object(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera,
+                                              const Mask& object) {
   std::vector<Eigen::Vector3d> found;
-  for (const SeenPoint& point : seen_points(cloud.points, camera, object.size())) {
+  for (const SeenPoint& point : seen_points(points, camera, object.size())) {
     if (object(static_cast<int>(std::lround(point.u)), static_cast<int>(std::lround(point.v))) != 0)
       found.push_back(point.in_cam);
   }
@@ -92,36 +95,84 @@ struct PriorCheck {
   const PriorOptions& options;
   Plan& plan;
   Details& details;
+  const Context& context;
 
   std::string operator()(std::monostate) const { return "from the photos"; }
   std::string operator()(const PointCloud& cloud) const {
-    const CameraSpec& camera = *station.file.camera;
-    const std::string& unit = station.file.unit;
-    const std::vector<Eigen::Vector3d> found = points_on_object(cloud, camera, object);
+    const std::vector<Eigen::Vector3d> found = points_on_object(cloud.points, *station.file.camera, object);
     const std::string share =
         with_count(found.size(), "of the cloud's ") + with_count(cloud.points.size(), "points fall on the object");
     if (static_cast<double>(found.size()) < options.min_points) {
-      const std::string why = why_cloud_misses(cloud, camera.pose, camera.lens.pinhole(), object, unit);
+      const std::string why = why_it_misses(cloud);
       throw data_error(share + ", expected at least " + std::to_string(options.min_points) +
                        (why.empty() ? "" : "; " + why));
     }
-    const Finding size = object_size(found, camera.lens.pinhole(), unit).finding;
+    judge_size(found);
+    return share;
+  }
+  std::string operator()(const TriangleMesh& mesh) const {
+    const CameraSpec& camera = *station.file.camera;
+    const Image<float> depth = rasterize_mesh(mesh, camera.lens.pinhole(), camera.pose, context);
+    return "mesh of " + with_count(mesh.triangles.size(), "triangles, ") + coverage_by(depth, "mesh", &mesh.vertices);
+  }
+  std::string operator()(const Shape& shape) const {
+    require_sigma(shape, options);
+    const CameraSpec& camera = *station.file.camera;
+    const std::string name(name_of(shape));
+    return name + ", " + coverage_by(depth_of_shape(shape, camera.lens.pinhole(), camera.pose), name);
+  }
+  std::string operator()(const Image<float>& depth) const {
+    require_depth_map(depth, station.file.camera->lens.pinhole().size);
+    return "depth map, " + coverage_by(depth, "depth map");
+  }
+  std::string operator()(const SweptDepth&) const { return "depth map"; }
+
+ private:
+  std::string why_it_misses(const PointCloud& cloud) const {
+    const CameraSpec& camera = *station.file.camera;
+    return why_cloud_misses(cloud, camera.pose, camera.lens.pinhole(), object, station.file.unit);
+  }
+
+  /// found: points on the object, in the camera frame.
+  void judge_size(const std::vector<Eigen::Vector3d>& found) const {
+    const Finding size = object_size(found, station.file.camera->lens.pinhole(), station.file.unit).finding;
     if (size.severity == Severity::note) {
       details["evidence"] = size.text();
     } else {
       warn(plan, size);
     }
-    return share;
   }
-  std::string operator()(const TriangleMesh& mesh) const {
-    return "mesh of " + with_count(mesh.triangles.size(), "triangles");
+
+  /// How much of the object a depth map in the station's view covers, in words; judges the object's size by it.
+  /// `vertices`: of the mesh that the depths come from.
+  std::string coverage_by(const Image<float>& depth, const std::string& source,
+                          const PointCloud* vertices = nullptr) const {
+    constexpr double most_points = 1e5, fewest_points = 2000;
+    const CameraSpec& camera = *station.file.camera;
+    const auto found_at = [&](int every) {
+      return points_on_object(points_of_depth(depth, camera, every), camera, object);
+    };
+    const auto pixels_of = [](const std::vector<Eigen::Vector3d>& points, int every) {
+      return static_cast<double>(points.size()) * every * every;
+    };
+    const int of_image = static_cast<int>(std::sqrt(static_cast<double>(depth.count()) / most_points)) + 1;
+    int stride = stride_on(object, of_image, fewest_points);
+    std::vector<Eigen::Vector3d> found = found_at(stride);
+    // A small part of a large object may lie between the samples.
+    if (stride > 1 && pixels_of(found, stride) < options.min_points) {
+      stride = 1;
+      found = found_at(stride);
+    }
+    const double pixels = pixels_of(found, stride);
+    if (pixels < options.min_points) {
+      const std::string why = vertices != nullptr ? why_it_misses(*vertices) : "";
+      throw data_error("prior " + source + ": " + std::to_string(found.size()) +
+                       " object pixels have a depth, expected at least " + std::to_string(options.min_points) +
+                       (why.empty() ? ": check that it and the camera pose are in one frame and unit" : "; " + why));
+    }
+    judge_size(found);
+    return "covers " + percent(std::min(pixels / plan.object_pixels, 1.0)) + " of the object";
   }
-  std::string operator()(const Shape& shape) const { return std::string(name_of(shape)); }
-  std::string operator()(const Image<float>& depth) const {
-    require_depth_map(depth, station.file.camera->lens.pinhole().size);
-    return "depth map";
-  }
-  std::string operator()(const SweptDepth&) const { return "depth map"; }
 };
 
 /// Describes the images, for people.
@@ -178,7 +229,8 @@ Plan check_station(const Station& station, const Options& options, const Context
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     require_camera(station.file);
-    details["prior"] = with_prior(station, context, PriorCheck{station, object, options.prior, plan, details});
+    const PriorOptions prior_options = with_stated_sigma(options.prior, station.file);
+    details["prior"] = with_prior(station, context, PriorCheck{station, object, prior_options, plan, details, context});
   } else if (!station.file.photos) {
     plan.warnings.emplace_back(
         "no coarse surface is named ([prior], or [photos] to make one from), which `malus run` needs; without one "

@@ -81,4 +81,14 @@ std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, c
   return found;
 }
 
+std::vector<Eigen::Vector3d> points_of_depth(const Image<float>& depth, const CameraSpec& camera, int stride) {
+  const Pinhole pinhole = camera.lens.pinhole();
+  std::vector<Eigen::Vector3d> points;
+  for (int v = 0; v < depth.height(); v += stride)
+    for (int u = 0; u < depth.width(); u += stride)
+      if (depth(u, v) > 0 && std::isfinite(depth(u, v)))
+        points.push_back(camera.pose.world_from_cam(depth(u, v) * pinhole.ray(u, v)));
+  return points;
+}
+
 }  // namespace malus

@@ -36,4 +36,8 @@ struct SeenPoint {
 /// Those of the points (world frame) that lie in front of the camera and that its lens sees in the image.
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image);
 
+/// World points of a depth map in the station's undistorted view: pixels of every `stride`-th row and column that have
+/// a depth.
+std::vector<Eigen::Vector3d> points_of_depth(const Image<float>& depth, const CameraSpec& camera, int stride = 1);
+
 }  // namespace malus

@@ -24,14 +24,7 @@ struct PointsInView {
     return (*this)(depth_of_shape(shape, camera.lens.pinhole(), camera.pose));
   }
   Points operator()(const SweptDepth& swept) const { return (*this)(swept.depth); }
-  Points operator()(const Image<float>& depth) const {
-    const Pinhole pinhole = camera.lens.pinhole();
-    Points points;
-    for (int v = 0; v < depth.height(); ++v)
-      for (int u = 0; u < depth.width(); ++u)
-        if (depth(u, v) > 0) points.push_back(camera.pose.world_from_cam(depth(u, v) * pinhole.ray(u, v)));
-    return points;
-  }
+  Points operator()(const Image<float>& depth) const { return points_of_depth(depth, camera); }
 };
 
 Image<float> mean_of_channels(const Image<float>& image) {

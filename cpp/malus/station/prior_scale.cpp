@@ -31,6 +31,11 @@ Image<float> scaled(Image<float> depth, double scale) {
   return depth;
 }
 
+PriorOptions with_stated_sigma(PriorOptions options, const StationFile& station) {
+  if (!options.sigma) options.sigma = station.prior_sigma;
+  return options;
+}
+
 std::string describe_scale(const StationFile& station) {
   if (station.scale_errors.empty()) return {};
   std::ostringstream text;

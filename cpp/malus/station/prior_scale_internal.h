@@ -1,6 +1,7 @@
 #pragma once
 
-// Private to the station room: scales a given prior to metric size by known distances.
+// Private to the station room: a given prior in the station's unit, scaled to metric size by known distances, and its
+// stated standard deviation.
 
 #include <concepts>
 #include <string>
@@ -11,6 +12,7 @@
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
+#include "malus/options/prior_options.h"
 #include "malus/station/station.h"
 
 namespace malus {
@@ -41,6 +43,9 @@ auto with_prior(const Station& station, const Context& context, const Use& use) 
   };
   return std::visit(with_source, station.prior);
 }
+
+/// The options with the standard deviation that the station file states, unless they state one themselves.
+PriorOptions with_stated_sigma(PriorOptions options, const StationFile& station);
 
 /// The scale and the remaining error of each scale bar, in one line; empty without bars that scale a given prior.
 std::string describe_scale(const StationFile& station);

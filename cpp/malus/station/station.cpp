@@ -18,7 +18,11 @@ Json describe_prior(const Station& station) {
     Json operator()(const CloudFile& file) const { return {{"prior", "cloud"}, {"prior_cloud", file.path.string()}}; }
     Json operator()(const MeshFile& file) const { return {{"prior", "mesh"}, {"prior_mesh", file.path.string()}}; }
     Json operator()(const DepthFile& file) const { return {{"prior", "depth"}, {"prior_depth", file.path.string()}}; }
-    Json operator()(const Shape& shape) const { return {{"prior", name_of(shape)}}; }
+    Json operator()(const Shape& shape) const {
+      const std::string name(name_of(shape));
+      return {{"prior", name},
+              {"prior_" + name, std::visit([](const auto& some) { return fields_to_json(some); }, shape)}};
+    }
     Json operator()(const PointCloud&) const { return {{"prior", "cloud"}}; }
     Json operator()(const TriangleMesh&) const { return {{"prior", "mesh"}}; }
     Json operator()(const Image<float>&) const { return {{"prior", "depth"}}; }

@@ -102,8 +102,7 @@ std::tuple<DepthPrior, PriorPoints> make_prior(const Job& job, const MeasuredPol
   PriorPoints points;
   if (const std::string scale = describe_scale(job.station.file); !scale.empty())
     job.context.log(LogLevel::info, scale);
-  PriorOptions options = job.options.prior;
-  if (!options.sigma) options.sigma = job.station.file.prior_sigma;
+  const PriorOptions options = with_stated_sigma(job.options.prior, job.station.file);
   const PriorMaker maker{job, view.camera, pose, measured.state->object(), options, points};
   DepthPrior prior = with_prior(job.station, job.context, maker);
   return {std::move(prior), std::move(points)};

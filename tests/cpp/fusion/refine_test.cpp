@@ -47,6 +47,13 @@ TEST(Refine, FindsTheBumpsOfASpecularSurface) {
   options.iterations = 6;
   const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
   EXPECT_EQ(result.report.specular_share, 1);
+  double error = 0, mirrored = 0;
+  for (std::size_t i = 0; i < station.truth.count(); ++i) {
+    const double truth = station.state.i_un[i] - 0.5 * scene.model.mirror.body;
+    error += std::abs(result.report.mirrored[i] - truth);
+    mirrored += truth;
+  }
+  EXPECT_LT(error, 0.15 * mirrored) << "all light but that of the body is mirrored";
   EXPECT_LT(rms_error_gsd(result.surface.depth, station.truth, station.prior.camera),
             0.35 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
 }
@@ -209,6 +216,23 @@ TEST(Refine, SigmaIsPositiveAndCoversTheError) {
     ++count;
   }
   EXPECT_GT(covered / count, 0.9);
+}
+
+/// How far an object is from a shape, or from depths whose errors are no noise, does not average out.
+TEST(Refine, SigmaIsNowhereBelowASystematicErrorOfThePrior) {
+  SyntheticOptions scene;
+  scene.model.environment.radiance.fill(0.1);
+  SyntheticStation station = make_station(scene);
+  ASSERT_EQ(station.prior.noise, 0);
+  const auto smallest_share = [&] {
+    const Image<float> sigma = refine(station.state, station.prior, {}, quick(), Context{}).surface.sigma;
+    float smallest = std::numeric_limits<float>::infinity();
+    for (std::size_t i = 0; i < sigma.count(); ++i) smallest = std::min(smallest, sigma[i] / station.prior.sigma[i]);
+    return smallest;
+  };
+  EXPECT_GE(smallest_share(), 1);
+  station.prior.noise = 0.5 * station_gsd_mm;
+  EXPECT_LT(smallest_share(), 0.9) << "noise averages out";
 }
 
 TEST(Refine, PixelsOutsideTheObjectStayEmpty) {

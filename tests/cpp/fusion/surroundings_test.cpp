@@ -240,6 +240,7 @@ TEST(Surroundings, AMetalIsFoundAndRefinedFromBrightnessAndPolarization) {
   const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
   EXPECT_GT(result.report.metal_index.imag(), 0);
   EXPECT_GT(result.report.trusted_share, 0.5);
+  EXPECT_TRUE(std::isnan(result.report.mirrored(40, 40))) << "all light is mirrored, in the metal's own color";
   EXPECT_TRUE(std::ranges::any_of(result.surface.warnings, [](const std::string& warning) {
     return warning.find("taken for bare metal") != std::string::npos;
   }));

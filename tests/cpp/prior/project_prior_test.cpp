@@ -490,18 +490,30 @@ TEST(PriorOfShape, IsThePlaneSphereOrCylinder) {
 
 TEST(PriorOfShape, IsSeenFromInsideAndFilledBesideIt) {
   const Eigen::Vector3d eye = test_pose().centre();
-  const DepthPrior inside = project(Shape(SphereShape{eye, 200}));
+  PriorOptions options;
+  options.sigma = 0.3;
+  const DepthPrior inside = project(Shape(SphereShape{eye, 200}), options);
   EXPECT_NEAR((world_point(inside, 30, 70) - eye).norm(), 200, 1e-3);
   // A sphere that covers only the middle of the image.
-  const DepthPrior small = project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 15}));
+  const DepthPrior small = project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 15}), options);
   EXPECT_GT(small.filled_fraction, 0.5);
   for (const float depth : small.depth) ASSERT_TRUE(std::isfinite(depth));
   expect_error(
       ErrorCode::data,
       [&] {
-        project(Shape(PlaneShape{test_pose().world_from_cam({0, 0, -50}), test_pose().rotation.row(2).transpose()}));
+        project(Shape(PlaneShape{test_pose().world_from_cam({0, 0, -50}), test_pose().rotation.row(2).transpose()}),
+                options);
       },
       "prior plane: 0 object pixels have a depth");
+}
+
+TEST(PriorOfShape, NeedsItsDistanceFromTheObject) {
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        project(Shape(SphereShape{test_pose().world_from_cam({0, 0, 400}), 90}));
+      },
+      "prior sphere: sigma is missing", "how far the object is");
 }
 
 TEST(PriorOfDepthMap, KeepsPixelsAndFillsHoles) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <limits>
 #include <string>
+#include <utility>
 
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
@@ -36,6 +37,12 @@ PointCloud cloud_of(const Station& station) {
   for (int v = 0; v < pinhole.size.height; ++v)
     for (int u = 0; u < pinhole.size.width; ++u) cloud.points.push_back(100 * pinhole.ray(u, v));
   return cloud;
+}
+
+std::string plan_of(const Station& station) {
+  std::string does;
+  for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
+  return does;
 }
 
 /// Ceres refuses such a number, and a reflection fit by which nothing was fitted passed for one.
@@ -132,11 +139,73 @@ TEST(CheckPicture, LeavesOutPointsThatTheLensDoesNotSee) {
 TEST(CheckStation, MeasuresThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
-  const Plan plan = check_station(station, {}, {});
-  std::string does;
-  for (const std::string& line : plan.does) does += line + "\n";
+  const std::string does = plan_of(station);
   expect_contains(does, "known distances make the prior 2 times as large; they are then off by 0.001 mm");
   expect_contains(does, "200 mm from the camera");
+}
+
+/// Two triangles at this z that fill the view.
+TriangleMesh mesh_at(double z) {
+  TriangleMesh mesh;
+  mesh.vertices.points = {{-50, -50, z}, {50, -50, z}, {50, 50, z}, {-50, 50, z}};
+  mesh.triangles.push_back({0, 1, 2});
+  mesh.triangles.push_back({0, 2, 3});
+  return mesh;
+}
+
+/// A mesh, a depth map or a shape beside the object passed, and ended the run only after the images were read.
+TEST(CheckStation, SaysWhatEveryKindOfPriorCovers) {
+  const TemporaryFolder folder;
+  Station station = scaled_station();
+  station.file.prior_sigma = 1;
+  const auto mesh_file = [&](const char* name, double z) {
+    write_ply(folder / name, mesh_at(z));
+    return MeshFile{folder / name};
+  };
+  Image<float> left({40, 30}, 1, std::numeric_limits<float>::quiet_NaN());
+  for (int v = 0; v < 30; ++v) std::fill_n(left.row(v), 20, 100.0F);
+  const std::vector<std::pair<PriorSource, std::string>> seen{
+      {mesh_file("mesh.ply", 100), "mesh of 2 triangles, covers 100 % of the object"},
+      {left, "depth map, covers 50 % of the object"},
+      {Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}}), "plane, covers 100 %"},
+      {Shape(SphereShape{{0, 0, 200}, 100}), "sphere, covers 100 %"},
+      {Shape(CylinderShape{{0, 0, 200}, {0, 1, 0}, 100}), "cylinder, covers 100 %"}};
+  for (const auto& [source, words] : seen) {
+    station.prior = source;
+    const std::string does = plan_of(station);
+    expect_contains(does, "prior: " + words);
+    expect_contains(does, "evidence: the object is ");
+  }
+  const std::vector<PriorSource> beside{
+      mesh_file("behind.ply", -100), Image<float>({40, 30}, 1, 0.0F), Shape(PlaneShape{{0, 0, -100}, {0, 0, -1}}),
+      Shape(SphereShape{{500, 0, 200}, 10}), Shape(CylinderShape{{500, 0, 200}, {0, 1, 0}, 10})};
+  for (const PriorSource& source : beside) {
+    station.prior = source;
+    expect_error(
+        ErrorCode::data, [&] { plan_of(station); }, "0 object pixels have a depth, expected at least 30");
+  }
+}
+
+TEST(CheckStation, AsksForTheSigmaOfAShapeAsARunWould) {
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  expect_error(
+      ErrorCode::input, [&] { plan_of(station); }, "prior plane: sigma is missing");
+  station.file.prior_sigma = 0.5;
+  expect_contains(plan_of(station), "prior: plane, covers 100 %");
+}
+
+TEST(KnownDistances, ScaleTheLengthsOfShapesAndNotTheirDirections) {
+  const auto plane = std::get<PlaneShape>(scaled(Shape(PlaneShape{{1, 2, 3}, {0, 0, -2}}), 2));
+  EXPECT_EQ(plane.point, Eigen::Vector3d(2, 4, 6));
+  EXPECT_EQ(plane.normal, Eigen::Vector3d(0, 0, -2));
+  const auto sphere = std::get<SphereShape>(scaled(Shape(SphereShape{{1, 2, 3}, 4}), 2));
+  EXPECT_EQ(sphere.center, Eigen::Vector3d(2, 4, 6));
+  EXPECT_EQ(sphere.radius, 8);
+  const auto cylinder = std::get<CylinderShape>(scaled(Shape(CylinderShape{{1, 2, 3}, {0, 3, 0}, 4}), 2));
+  EXPECT_EQ(cylinder.point, Eigen::Vector3d(2, 4, 6));
+  EXPECT_EQ(cylinder.axis, Eigen::Vector3d(0, 3, 0));
+  EXPECT_EQ(cylinder.radius, 8);
 }
 
 TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
@@ -171,6 +240,7 @@ TEST(CheckStation, CountsSaturatedPixelsAsARunWould) {
   const TemporaryFolder folder;
   Station station = scaled_station();
   station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  station.file.prior_sigma = 1;
   station.images.clear();
   const auto warnings = [&](const char* name) {
     station.file.polarized.images = {folder / name};

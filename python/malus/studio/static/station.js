@@ -162,17 +162,23 @@ function imagesGroup() {
 }
 
 const PRIORS = { cloud: 'point cloud', mesh: 'mesh', depth: 'depth map' };
+const SHAPES = ['plane', 'sphere', 'cylinder'];
 
 function surfaceGroup() {
   const path = (table, key) => (value) => set([{ table, key, value: value || null, is_path: true }]);
   const paths = (list) => [['', 'none'], ...list.map((name) => [name, name])];
-  const kind = Object.keys(PRIORS).find((key) => under('prior', key));
-  const setPrior = (chosen) => set(Object.keys(PRIORS).map((key) => ({ table: 'prior', key, value: chosen.startsWith(`${key}:`) ? chosen.slice(key.length + 1) : null, is_path: true })));
+  const kind = [...Object.keys(PRIORS), ...SHAPES].find((key) => under('prior', key));
+  const isShape = SHAPES.includes(kind);
+  // The standard deviation is that of the former surface. The new one comes first: a table that is empty in between loses its place.
+  const setPrior = (chosen) => set([...Object.keys(PRIORS), ...SHAPES, 'sigma']
+    .map((key) => ({ table: 'prior', key, value: chosen.startsWith(`${key}:`) ? chosen.slice(key.length + 1) : null, is_path: key in PRIORS }))
+    .sort((one, other) => (one.value === null) - (other.value === null)));
   const withImage = (name) => set([{ table: 'camera', key: 'image', value: name || null }]);
   return group('Camera and coarse surface',
     choice('camera', 'Cameras (COLMAP model)', named(under('camera', 'colmap_model')), paths(nearestFirst(candidates.models)), path('camera', 'colmap_model'), 'A folder with cameras and images of COLMAP. Choose none if the cameras are to be computed from photographs.'),
     modelImages.length ? choice('camera', "This station's name in the model", under('camera', 'image') ?? '', [['', 'choose'], ...modelImages.map((name) => [name, name])], withImage) : null,
-    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${named(under('prior', kind))}` : '', [['', 'none'], ...nearestFirst(candidates.priors, ({ path }) => path).map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Choose none if it is to be computed from photographs.'),
+    choice('prior', 'Coarse surface (prior)', kind ? `${kind}:${isShape ? '' : named(under('prior', kind))}` : '', [['', 'none'], ...(isShape ? [[`${kind}:`, `${kind}, as the file states it`]] : []), ...nearestFirst(candidates.priors, ({ path }) => path).map((found) => [`${found.kind}:${found.path}`, `${found.path} (${PRIORS[found.kind]})`])], setPrior, 'From photogrammetry or a scanner, in the frame of the cameras. Choose none if it is to be computed from photographs.'),
+    kind ? text('prior', 'Its standard deviation', 'prior', 'sigma', { kind: 'number', placeholder: kind === 'cloud' ? 'measured' : '1 GSD', help: `In the unit of lengths: ${isShape ? `how far the object is from the ${kind}` : kind === 'cloud' ? 'of the points about the surface' : 'of its depths; if it is not known, confidence is at most “partial”'}.` }) : null,
     choice('photos', 'Photographs from all around', named(under('photos', 'folder')), paths(nearestFirst(candidates.images)), path('photos', 'folder'), 'Only if there is no coarse surface yet: cameras and surface are then computed from the photographs.'),
     drawn('scale', 'Known distances', String((state.station.values.scale ?? []).length || 'none'), 'scale'),
     drawn('control', 'Control points', namesOf('control'), 'control'));
