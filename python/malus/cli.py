@@ -549,14 +549,19 @@ def _check(args: argparse.Namespace) -> None:
     if is_object_file(args.station):
         thing = Object.load(args.station)
         plans = thing.check(_options(args, thing.campaign.options), threads=args.threads)
+        surface, surface_seconds = thing.planned_surface(plans)
+        seconds = sum(plan["seconds"] for plan in plans)
         if args.json:
+            said = {"does": surface, "seconds": surface_seconds}
             print(
-                json.dumps({"name": thing.name, "stations": plans, "seconds": sum(plan["seconds"] for plan in plans)})
+                json.dumps(
+                    {"name": thing.name, "stations": plans, "surface": said, "seconds": seconds + surface_seconds}
+                )
             )
             return
-        print(
-            f"object {thing.name}: {len(plans)} stations, {sum(plan['seconds'] for plan in plans):.0f} s one after another"
-        )
+        print(f"object {thing.name}: {len(plans)} stations, {seconds:.0f} s one after another")
+        _print_lines(f"  {surface}")
+        print(f"expected: {surface_seconds:.0f} s")
         for plan in plans:
             _print_plan(plan)
         return
@@ -574,7 +579,9 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
+    # Of an object: the name in folders and tables, as the stations' own names may be alike.
+    name = f"{plan['station']} ({plan['name']})" if "station" in plan else plan["name"]
+    print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     _print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
     _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))

@@ -25,7 +25,7 @@ from PIL import Image
 
 from conftest import EXAMPLE, demo_with_photos, edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
-from malus import Camera, DataError, InputError, Options, Progress, Station, reconstruct
+from malus import Camera, DataError, ExternalError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
 from malus.object import (
     Object,
@@ -413,6 +413,23 @@ def test_albedo_has_a_texture_of_its_own(sphere, tmp_path: Path) -> None:  # typ
         assert np.abs(texture_of - image).mean() < 3  # JPEG
 
 
+def test_the_textured_mesh_is_the_same_in_any_unit(thin: OrientedPoints, tmp_path: Path) -> None:
+    """In meters, most triangles were below a limit of area of the library that unfolds them, and had no place in the texture."""
+    full = joined_mesh(pieces(thin, CELL), tmp_path, 1.0)
+    gray: Any = SimpleNamespace(linear=lambda points, _: np.full((len(points), 3), 0.5))
+    meshes = {
+        meters: textured(replace(full, vertices=full.vertices / meters), 1000, gray, CELL / meters)
+        for meters in (1, 1e3, 1e-3)
+    }
+    for meters, mesh in meshes.items():
+        corners = mesh.uv[mesh.triangles]
+        (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+        assert (a * d != b * c).all()
+        assert len(mesh.color) == pytest.approx(len(meshes[1].color), rel=0.05)
+        assert meters * mesh.deviation == pytest.approx(meshes[1].deviation, rel=0.05)
+        np.testing.assert_allclose(meters * np.ptp(mesh.vertices, axis=0), 2 * RADIUS, rtol=0.05)
+
+
 def normals_of_texels(mesh: TexturedMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """World normals that the normal map gives at the middle of triangles, and these places."""
     places, uv, normals = (values[mesh.triangles].mean(1) for values in (mesh.vertices, mesh.uv, mesh.normals))
@@ -723,7 +740,39 @@ def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
 def test_check_lists_every_station(pair: Path) -> None:
     outcome = run_malus("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
-    assert "object pair: 2 stations" in outcome.out and outcome.out.count("station small") == 2
+    assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
+    for name in ("o0", "o1"):
+        assert f"station {name} (small): " in outcome.out
+    told = json.loads(run_malus("check", pair, "--json", "--threads", "1").out)
+    assert [plan["station"] for plan in told["stations"]] == ["o0", "o1"]
+    seconds = [plan["seconds"] for plan in told["stations"]]
+    assert (
+        told["seconds"] == pytest.approx(sum(seconds) + told["surface"]["seconds"]) and told["surface"]["seconds"] > 0
+    )
+
+
+def test_check_names_every_station_that_cannot_be_run(pair: Path) -> None:
+    """It ended at the first of them."""
+    for k in range(2):
+        (pair.parent / f"o{k}/pol/pol_0{3 * (k + 1)}0.tif").write_bytes(b"no image")
+    outcome = malus_here("check", pair, "--threads", "1")
+    assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
+    assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2))
+
+
+def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: Any) -> None:
+        raise ExternalError("COLMAP is missing")
+
+    definition = importlib.import_module("malus.object.definition")
+    monkeypatch.setattr(definition, "Colmap", none)
+    Object.load(pair).require_ready()
+    closed = Object.load(edit(pair, "closed = false", "closed = true"))
+    with pytest.raises(ExternalError, match="COLMAP is missing"):
+        closed.check()
+    monkeypatch.setattr(definition, "require_packages", none)
+    with pytest.raises(ExternalError):
+        Object.load(edit(pair, "closed = true", "closed = false")).check()
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
@@ -966,6 +1015,45 @@ def test_control_points_of_stations_count_together(photographed: Path) -> None:
         Object.load(photographed)
 
 
+def known_distance(check: str = "false") -> str:
+    return f"\n[[scale]]\ndistance = 3\ncheck = {check}\n" + "".join(
+        f'{end} = [{{ image = "0.png", x = 4, y = 5 }}, {{ image = "1.png", x = 4, y = 5 }}]\n' for end in "ab"
+    )
+
+
+def test_the_size_of_an_object_is_stated_in_one_way(photographed: Path) -> None:
+    """Distances in one station's file beside control points in another's did not count, without a word."""
+    in_stations(photographed, known_distance())
+    shared = Object.load(photographed).shared
+    assert shared is not None and len(shared["scale"]) == 1
+    edit(photographed.parent / "o1/station.toml", known_distance(), point())
+    with pytest.raises(InputError, match=r"o0/station.toml: \[\[scale\]\] cannot be given together .*o1/station.toml"):
+        Object.load(photographed)
+    edit(photographed.parent / "o1/station.toml", point(), known_distance("true"))
+    with pytest.raises(InputError, match=r"o1/station.toml: \[\[scale\]\] distance = 3: check is not what .*o0/st"):
+        Object.load(photographed)
+
+
+def test_points_of_a_station_need_the_objects_frame(photographed: Path) -> None:
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]')
+    in_stations(photographed, point(pixel="[7, 8]"), 1)
+    with pytest.raises(InputError, match=r"o1/station.toml: \[\[control\]\] T: the object is not in the frame"):
+        Object.load(photographed)
+    edit(photographed, "[options]", point("of the object") + "[options]")
+    assert Object.load(photographed).shared is not None
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_check_counts_the_points_of_all_stations_together(photographed: Path) -> None:
+    """It demanded of every station that its own points determine the frame."""
+    marks = '[{ image = "0.png", x = 4.0, y = 5.0 }, { image = "1.png", x = 4.0, y = 5.0 }]'
+    in_stations(photographed, point("a", marks=marks) + point("b", xyz="[4, 2, 3]", marks=marks), 0)
+    in_stations(photographed, point("c", xyz="[1, 5, 3]", marks=marks), 1)
+    first, second = Object.load(photographed).check()
+    assert any("frame and size from 3 control points" in line for line in first["does"])
+    assert not any("[[scale]]" in warning for plan in (first, second) for warning in plan["warnings"])
+
+
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
@@ -1071,19 +1159,28 @@ def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, n
     assert expected in str(caught.value)
 
 
-def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_others(pair: Path) -> None:
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_others(pair: Path, number: int) -> None:
+    """Whether it is the first one or not: a first one was taken for one that names the photos of all."""
     (pair.parent / "views").mkdir()
     (pair.parent / "views/0.png").write_bytes(b"photo")
-    station = pair.parent / "o1/station.toml"
+    station = pair.parent / f"o{number}/station.toml"
     edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
          'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
     edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
     with pytest.raises(
-        InputError, match=r"o1/station.toml: has no \[prior\], so that its frame is that of its own photos"
+        InputError, match=rf"o{number}/station.toml: has no \[prior\], so that its frame is that of its own photos"
     ):
         Object.load(pair)
-    in_stations(pair, point(), 1)
+    in_stations(pair, point(), number)
     assert Object.load(pair).shared is None
+
+
+def test_a_station_without_a_surface_is_refused(pair: Path) -> None:
+    """It failed as the last thing in a run, after hours for the others."""
+    edit(pair.parent / "o1/station.toml", '[prior]\ncloud = "dense/cloud.ply"', "")
+    with pytest.raises(InputError, match=r"o1/station.toml: has neither \[prior\] nor \[photos\]"):
+        Object.load(pair)
 
 
 def test_only_one_station_may_stand_in_its_cameras_frame(pair: Path) -> None:

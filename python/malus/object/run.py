@@ -69,10 +69,7 @@ def run_object(
     outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct.
     """
     say = progress or (lambda *_: None)
-    texture.require_packages()
-    if thing.closed:
-        Colmap(1)  # A missing COLMAP, or an unreadable reference (below), must fail before hours of work.
-    thing.read_reference()
+    thing.require_ready()
     frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
@@ -250,7 +247,7 @@ def _fuse(
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
         if thing.closed:
-            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1))
+            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1, thing.campaign.options.photos.backend))
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
         simpler = _simpler(thing, mesh, everything, gsd, scratch, threads)
