@@ -611,6 +611,9 @@ def _object(args: argparse.Namespace) -> None:
             shard=shard,
             progress=view.progress,
         )
+        if args.json and not any(outcome["status"] == "pending" for outcome in outcomes):
+            for warning in _doubts_of_object(_figures_of_object(args.output / "object")):
+                view.log("warning", warning)
     failed = batch.failure(outcomes)
     if not args.json:
         _print_object(args.output / "object", outcomes, args.quiet)
@@ -623,12 +626,22 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
     if pending:
         print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
         return
-    quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    quality = _figures_of_object(folder)
     if quiet:  # warnings are printed even so
-        for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
+        for line in _doubts_of_object(quality, "warning: "):
             print(line, file=sys.stderr)
         return
     _print_lines(*object_summary(quality), f"  report: malus view {folder}")
+
+
+def _figures_of_object(folder: Path) -> dict[str, Any]:
+    quality: dict[str, Any] = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    return quality
+
+
+def _doubts_of_object(quality: dict[str, Any], before: str = "") -> list[str]:
+    """Stations that are not fully trusted, and all warnings, each with the word `before` it."""
+    return [*doubted_stations(quality), *(before + warning for warning in quality["warnings"])]
 
 
 def _compare(args: argparse.Namespace) -> None:

@@ -53,9 +53,10 @@ from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
 from malus.object.run import _warnings as object_warnings
-from malus.object.run import find_frame, is_closed
+from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import LEAST_COSINE, stored
+from malus.pages import template
 from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
@@ -633,6 +634,9 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
     quiet = malus_here("object", pair, "-o", output, "--quiet")
+    events = [json.loads(line) for line in malus_here("object", pair, "-o", output, "--json").out.splitlines()]
+    told = [event["message"] for event in events if event["event"] == "log" and event["level"] == "warning"]
+    assert told == [line.removeprefix("warning: ") for line in quiet.err.splitlines()] and told
     text = html.unescape((output / "object/report/index.html").read_text())
     for name in ("o0", "o1"):
         confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
@@ -1127,6 +1131,53 @@ def test_warnings_of_finding_the_stations_come_once(
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip
+
+
+def test_stations_that_others_do_not_confirm_are_told() -> None:
+    def row(name: str, off: float | None, seen: float = 0.5) -> dict[str, Any]:
+        return {"station": name, "status": "done", "seen_fraction": seen, "agreement": {"rms_ratio": off}}
+
+    told = doubts_of_stations(
+        [row("good", 1.1), row("off", 3.14), row("apart", None), row("unsure", None, 0.0), {"station": "x", "status": "failed"}]
+    )  # fmt: skip
+    assert [warning.split(": ")[1] for warning in told] == ["off", "apart", "unsure"]
+    assert "3.1 standard deviations" in told[0] and "nothing checks its place" in told[1]
+    assert "object.max_sigma_gsd" in told[2]
+    assert doubts_of_stations([row("alone", None)]) == []
+
+
+def test_figures_of_the_photos_are_those_of_the_last_run(pair: Path) -> None:
+    """A distance that was held out after the surface was made was not in quality.json: the stations' cameras are the same without it."""
+    thing = Object.load(pair)
+    outcomes = [{"station": name, "reason": "", "manifest": name} for name in ("o0", "o1")]
+    frames = [
+        None, Frame(pair.parent, {"scale": None}, []), Frame(pair.parent, {"scale": {"distances": []}}, []),
+        Frame(pair.parent, {"scale": None}, ["a lens is doubtful"]),
+    ]  # fmt: skip
+    assert len({object_run._key(thing, outcomes, frame) for frame in frames}) == len(frames)
+    assert object_run._key(thing, outcomes, replace(frames[1])) == object_run._key(thing, outcomes, frames[1])
+
+
+def test_the_page_says_how_photos_distances_and_points_fit() -> None:
+    found = {
+        "registered": 14, "photos": 16, "unregistered": ["<7>.jpg"], "reprojection_px": 0.3412, "station": {"a": {}}, "scale": None
+    }  # fmt: skip
+
+    def shown(**more: Any) -> str:
+        quality = {"unit": "cm", "stations": [{}, {}], "photogrammetry": {**found, **more}}
+        return template("object_photos.html.j2").render(quality=quality)
+
+    text = shown()
+    assert "14 of 16 photos and 1 of 2 stations" in text and "0.34 px" in text and "&lt;7&gt;.jpg" in text
+    assert "the size is arbitrary" in text
+    fit = {"name": "[[scale]] 1", "distance": 31.504, "adjusted": 31.5, "sigma": 0.01, "rms_px": 0.4}
+    held_out = [{**fit, "check": False, "residual": 0.001}, {**fit, "check": True, "residual": -0.0213}]
+    text = shown(scale={"distances": held_out, "status": "converged", "sigma": 0.001, "scale": 2.0})
+    assert "Size from 1 known distance: known to 0.05 %" in text
+    assert "<td>check</td>" in text and "−0.021" in text and "residual [cm]" in text
+    points = [{"name": "P", "check": True, "offset": [0.1, -0.2, 0.3], "rms_px": 0.5}]
+    text = shown(control={"datum": {"sigma": 0.1, "check_rms": 0.13, "doubtful": None, "points": points}})
+    assert "the check points are off by 0.13 cm" in text and "−0.2" in text and "arbitrary" not in text
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,8 @@ class Object:
         """
         self.require_ready()
         settings = options or self.campaign.options
-        plans, failed = [], {}
+        plans: list[dict[str, Any]] = []
+        failed: dict[str, MalusError] = {}
         for task in self.campaign.tasks(Path(), threads):
             try:
                 plan = check(
