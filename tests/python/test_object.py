@@ -6,6 +6,7 @@ import html
 import importlib
 import json
 import os
+import pickle
 import re
 import shutil
 import signal
@@ -52,8 +53,8 @@ from malus.object.agreement import joined, without_outliers
 from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
-from malus.object.run import _warnings as object_warnings
 from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
+from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import LEAST_COSINE, stored
 from malus.pages import template
@@ -1004,6 +1005,29 @@ def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: 
     assert [point["name"] for point in shared["control"]] == ["T"]
 
 
+def test_stations_may_leave_out_the_photos_of_their_object(photographed: Path) -> None:
+    """They had to repeat them; the same photos, named in one place, give the same stations."""
+    before = Object.load(photographed)
+    for k in range(2):
+        edit(photographed.parent / f"o{k}/station.toml", '[photos]\nfolder = "../views"', "")
+    with pytest.raises(InputError, match=r"o0/station.toml.* \[camera\].*qvec"):
+        Object.load(photographed)
+    thing = Object.load(edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]'))
+    assert thing.shared is not None and before.shared is not None
+    assert thing.shared["photos"] == before.shared["photos"]
+    task = thing.campaign.tasks(photographed.parent / "out", 1, photographed.parent / "cameras")[1]
+    assert task.load().describe()["photos"] == thing.shared["photos"]
+    key = task.key()
+    Image.new("L", (96, 64), 99).save(photographed.parent / "views/2.jpg")
+    assert task.key() != key
+    # A process that runs a station reads it again.
+    again = pickle.loads(pickle.dumps(thing.campaign.station(task.station)))
+    assert again.describe() == task.load().describe()
+    edit(photographed.parent / "o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
+    with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has a pose"):
+        Object.load(photographed)
+
+
 def test_control_points_of_stations_count_together(photographed: Path) -> None:
     in_stations(photographed, point("both"))
     in_stations(photographed, point("first") + point("seen", pixel="[7, 8]"), 0)
@@ -1155,7 +1179,8 @@ def test_figures_of_the_photos_are_those_of_the_last_run(pair: Path) -> None:
         Frame(pair.parent, {"scale": None}, ["a lens is doubtful"]),
     ]  # fmt: skip
     assert len({object_run._key(thing, outcomes, frame) for frame in frames}) == len(frames)
-    assert object_run._key(thing, outcomes, replace(frames[1])) == object_run._key(thing, outcomes, frames[1])
+    same = Frame(pair.parent, {"scale": None}, [])
+    assert object_run._key(thing, outcomes, same) == object_run._key(thing, outcomes, frames[1])
 
 
 def test_the_page_says_how_photos_distances_and_points_fit() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,6 @@ from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.photos import photos_of
 from malus.photogrammetry.program import Colmap
 from malus.reconstruction import check
-from malus.station import Station
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
@@ -107,10 +107,14 @@ class Object:
         if textures not in _TEXTURE_FORMATS:
             raise InputError(f"{file}: object.texture_format = {textures!r}, expected 'webp' or 'jpeg'")
         files = stations_of(file, "object", table)
-        campaign = Campaign(value("name", file.stem), files, options_of(file, content), value("report", True))
-        stations = {path: Station.load(path).describe() for path in files}
+        own = _own_photos(file) if "photos" in content else None
+        campaign = Campaign(
+            value("name", file.stem), files, options_of(file, content), value("report", True),
+            None if own is None else Path(os.path.abspath(file)),
+        )  # fmt: skip
+        stations = {path: campaign.station(path).describe() for path in files}
         unit = _common_unit(file, stations, value("unit", ""))
-        shared = _shared(file, content, stations)
+        shared = _shared(file, content, stations) if own is None else _own(file, own, stations)
         _require_one_frame(stations, from_photos=shared is not None)
         turntable = value("turntable", False)
         if turntable:
@@ -141,7 +145,9 @@ class Object:
             return []
         masked = {
             "photos": {photo.name: photo.mask is not None for photo in photos_of(self.shared["photos"])},
-            "stations": {str(path): _has_mask(Station.load(path).describe()) for path in self.campaign.stations},
+            "stations": {
+                str(path): _has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations
+            },
         }
         warnings = []
         for what, known in masked.items():
@@ -173,16 +179,14 @@ class Object:
         failed: dict[str, MalusError] = {}
         for task in self.campaign.tasks(Path(), threads):
             try:
-                plan = check(
-                    Station.load(task.station), settings, cameras_known=self.shared is not None, threads=threads
-                )
+                plan = check(task.load(), settings, cameras_known=self.shared is not None, threads=threads)
                 plans.append({"station": task.identifier, **plan})
             except MalusError as error:
                 failed[task.identifier] = error
         if failed:
             raise _together(failed, len(self.campaign.stations))
         if self.shared is not None:
-            description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
+            description = {**self.campaign.station(self.campaign.stations[0]).describe(), **self.shared}
             photos = photogrammetry.plan(description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"])
             plans[0]["does"][1:1] = photos.photos
             plans[0]["warnings"] += [*photos.warnings, *self.unmasked()]
@@ -329,9 +333,7 @@ def _require_one_scale(stations: Mapping[Path, Mapping[str, Any]]) -> None:
 def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
-    """Photos, known distances and control points by which all stations are found: from the object file, else from the stations."""
-    if "photos" in content:
-        return _own(file, stations)
+    """Photos, known distances and control points by which all stations are found, from the stations' files; None without photos."""
     if names := [name for name in ("scale", "control") if name in content]:
         raise InputError(f"{file}: [[{names[0]}]] needs [photos], in which its points are marked")
     # Next to given surfaces, photos are those of one station, which its control points bring into the frame of the others.
@@ -361,8 +363,8 @@ def _require_one_size(stations: Mapping[Path, Mapping[str, Any]]) -> None:
         )
 
 
-def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
-    """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
+def _own_photos(file: Path) -> dict[str, Any]:
+    """The object file's photos, distances and points."""
     own: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
     for point in own["control"]:
         if point["pixel"] is not None:
@@ -370,6 +372,11 @@ def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, An
                 f"{file}: [[control]] {point['name']}: pixel is a place in one station's image; expected it in that station's "
                 "file, and here marks in the photos"
             )
+    return own
+
+
+def _own(file: Path, own: dict[str, Any], stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
+    """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
     for path, station in stations.items():
         if station.get("photos", own["photos"]) != own["photos"]:
             raise InputError(

@@ -40,7 +40,6 @@ from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
-from malus.station import Station
 from malus.threads import ALL_CORES
 from malus.workspace import Workspace
 
@@ -131,7 +130,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         outlines = {}
         for count, task in enumerate(tasks):
             say("photos", 0.3 * count / len(tasks), f"polarization of {task.identifier}")
-            station, begun = Station.load(task.station), folder / "polarization" / task.identifier
+            station, begun = task.load(), folder / "polarization" / task.identifier
             try:
                 scene, mask = unpolarized_scene(station, options, begun, threads)
                 said = station.describe()
@@ -320,7 +319,7 @@ def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[Orient
     parts = []
     clouds: dict[str, tuple[str, float]] = {}
     for outcome in done:
-        said = Station.load(outcome["file"]).describe()
+        said = thing.campaign.station(outcome["file"]).describe()
         if "prior_cloud" in said:
             clouds.setdefault(said["prior_cloud"], (outcome["station"], said["prior_scale"]))
     for cloud, (station, scale) in clouds.items():
