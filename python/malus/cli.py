@@ -547,6 +547,10 @@ def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: boo
 
 def _check(args: argparse.Namespace) -> None:
     if is_object_file(args.station):
+        if args.overlay is not None:
+            raise InputError(
+                f"--overlay {args.overlay}: is a picture of one station, expected its file instead of an object's"
+            )
         thing = Object.load(args.station)
         plans = thing.check(_options(args, thing.campaign.options), threads=args.threads)
         surface, surface_seconds = thing.planned_surface(plans)

@@ -756,6 +756,11 @@ def test_check_lists_every_station(pair: Path) -> None:
     )
 
 
+def test_check_of_an_object_has_no_picture(pair: Path) -> None:
+    outcome = malus_here("check", pair, "--overlay", "x.png")
+    assert outcome.code == 2 and "--overlay x.png: is a picture of one station" in outcome.err
+
+
 def test_check_names_every_station_that_cannot_be_run(pair: Path) -> None:
     """It ended at the first of them."""
     for k in range(2):
@@ -1168,6 +1173,15 @@ def test_stations_that_others_do_not_confirm_are_told() -> None:
     assert "3.1 standard deviations" in told[0] and "nothing checks its place" in told[1]
     assert "object.max_sigma_gsd" in told[2]
     assert doubts_of_stations([row("alone", None)]) == []
+    # Too far off the others to be taken for the same surface: they count as apart, not as in agreement.
+    views = [
+        sphere_view("off", (1, 0, 0), offset=3.0),
+        *(sphere_view(f"s{k}", axis) for k, axis in enumerate(AXES[2:])),
+    ]
+    agreements = combine(views)[1]
+    figures = [agreement_figures([agreement], FAR / FOCAL)["rms_ratio"] for agreement in agreements]
+    told = doubts_of_stations([row(view.name, off) for view, off in zip(views, figures, strict=True)])
+    assert [warning.split(": ")[1] for warning in told] == ["off"]
 
 
 def test_figures_of_the_photos_are_those_of_the_last_run(pair: Path) -> None:

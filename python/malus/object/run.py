@@ -495,7 +495,8 @@ def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             )
         elif off is None and len(done) > 1:
             warnings.append(
-                f"object: {name}: no other station measured what it measured, so that nothing checks its place"
+                f"object: {name}: no other station has a surface where it has its own, so that nothing checks its place; if others see the "
+                "same places, a pose or a scale is wrong"
             )
         elif off is not None and off > _WORTH_A_WARNING:
             warnings.append(
