@@ -457,6 +457,11 @@ def test_levels_of_detail_get_smaller_and_keep_the_full_normals(
     simpler = joined_mesh(pieces(thin, 2 * CELL), tmp_path / "simpler", 1.0)
     (coarse,) = levels_of_detail(full, 1000, paint, CELL, simpler)
     assert len(coarse.triangles) == pytest.approx(1000, rel=0.02) and coarse.deviation < 0.3
+    # A mesh with fewer triangles than are allowed has simpler levels, too.
+    few = levels_of_detail(simpler, 8 * len(simpler.triangles), paint, CELL)
+    assert [len(level.triangles) for level in few] == pytest.approx(
+        [len(simpler.triangles), len(simpler.triangles) / 4], rel=0.02
+    )
     for level in levels:
         normals, places = normals_of_texels(level)
         cosine = (normals * places).sum(1) / np.linalg.norm(places, axis=1) / np.linalg.norm(normals, axis=1)

@@ -104,8 +104,9 @@ def levels_of_detail(
     Only the first level has the albedo.
     """
     levels: list[TexturedMesh] = []
+    most = min(faces, len((mesh if simpler is None else simpler).triangles))
     for level in range(_MOST_LEVELS):
-        wanted = faces // 4**level
+        wanted = most // 4**level
         if level and (wanted < _LEAST_FACES or wanted >= len(levels[-1].triangles)):
             break
         bare = None if level else albedo
