@@ -667,8 +667,10 @@ def require_scale(output: Path) -> None:
     page = output / "object/report/index.html"
     views = json.loads(page.read_text().split('id="object-data">')[1].split("</script>")[0])
     longest = max(views["extent"])
+    assert views["seen_by"] == ["o0", "o1"]
     with turning_view(page, "object") as view:
         home = pixel_mm(view)
+        view.locator("[name=paint]").select_option("seen-1")
         assert max(drawn_mm(view)) == pytest.approx(longest, rel=0.08)
         view.get_by_role("button", name="Zoom in").click()
         assert pixel_mm(view) == pytest.approx(home / 1.5, rel=2e-3)
