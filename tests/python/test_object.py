@@ -907,6 +907,10 @@ def test_check_says_which_masks_a_turntable_lacks(turning: Path) -> None:
     said = " ".join(outcome.out.split())
     assert "warning: turntable: without a mask are 1 of 3 photos (1.png)" in said
     assert "2 of 3 photos have a mask; a visual hull is made of at least 4" in said
+    # With a third station, the outlines of two photos and of two other stations are enough.
+    shutil.copytree(turning.parent / "o1", turning.parent / "o2")
+    edit(turning, '"o1/station.toml"', '"o1/station.toml", "o2/station.toml"')
+    assert "visual hull" not in malus_here("check", turning, "--threads", "1").out
 
 
 @pytest.mark.parametrize("turntable", [True, False])

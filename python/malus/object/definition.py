@@ -187,12 +187,20 @@ class Object:
             raise _together(failed, len(self.campaign.stations))
         if self.shared is not None:
             description = {**self.campaign.station(self.campaign.stations[0]).describe(), **self.shared}
-            photos = photogrammetry.plan(description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"])
+            photos = photogrammetry.plan(
+                description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"],
+                silhouettes=self._outlines_of_others(),
+            )  # fmt: skip
             plans[0]["does"][1:1] = photos.photos
             plans[0]["warnings"] += [*photos.warnings, *self.unmasked()]
             plans[0]["seconds"] += photos.finding.seconds
             plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)
         return plans
+
+    def _outlines_of_others(self) -> int:
+        """How many outlines of other stations at least are silhouettes for each station."""
+        masks = sum(_has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations)
+        return max(0, masks - 1) if self.turntable else 0
 
     def planned_surface(self, plans: Sequence[Mapping[str, Any]]) -> tuple[str, float]:
         """What a run makes of the finished stations, and its expected seconds. plans: of the stations, from `check`."""
