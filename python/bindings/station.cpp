@@ -188,7 +188,11 @@ void bind_run(py::module_& module) {
 
   py::class_<Station>(module, "Station")
       .def_static(
-          "load", [](const std::string& path) { return Station::load(path); }, WithoutGil())
+          "load",
+          [](const std::string& path, const std::optional<std::string>& photos_of) {
+            return photos_of ? Station::load(path, *photos_of) : Station::load(path);
+          },
+          py::arg("path"), py::arg("photos_of"), WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
                   py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"), py::arg("labels"))

@@ -30,7 +30,6 @@ from malus.pages import template
 from malus.photogrammetry.shared_frame import load_cameras
 from malus.reconstruction import reconstruct
 from malus.report import write_report
-from malus.station import Station
 from malus.threads import ALL_CORES
 from malus.workspace import Workspace
 
@@ -52,7 +51,7 @@ def run_station(task: Task) -> Outcome:
     try:
         outcome["key"] = task.key()
         result = reconstruct(
-            Station.load(task.station),
+            task.load(),
             Options(**json.loads(task.options)),
             workspace=task.workspace,
             replace=True,  # after a change of the campaign, another station may have this name and workspace

@@ -43,6 +43,12 @@ class Task:
     report: bool
     cameras: str = ""
     """File with the station's cameras in a model that several stations share; empty = the station has cameras of its own."""
+    photos_of: str = ""
+    """File with the [photos] that several stations share; empty = the station's file has its own, or needs none."""
+
+    def load(self) -> Station:
+        """Read the station."""
+        return Station.load(self.station, photos_of=self.photos_of or None)
 
     @property
     def workspace(self) -> Path:
@@ -74,7 +80,7 @@ class Task:
 
     def _files(self) -> list[Path]:
         try:
-            station = Station.load(self.station).describe()
+            station = self.load().describe()
         except MalusError:
             return [Path(self.station)]
         files = [Path(path) for path in station["files"]]
@@ -87,12 +93,19 @@ class Task:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Stations, in the order of the file, and the options that all of them get."""
+    """Stations, in the order of the file, and the options that all of them get. photos_of: absolute path of a file whose
+    [photos] are those of all stations.
+    """
 
     name: str
     stations: tuple[Path, ...]
     options: Options
     report: bool
+    photos_of: Path | None = None
+
+    def station(self, path: str | Path) -> Station:
+        """Read one of the stations."""
+        return Station.load(path, photos_of=self.photos_of)
 
     @staticmethod
     def load(path: str | Path) -> Campaign:
@@ -144,6 +157,7 @@ class Campaign:
                 threads,
                 self.report,
                 "" if cameras is None else str(resolved(cameras) / f"{identifier}.json"),
+                "" if self.photos_of is None else str(self.photos_of),
             )
             for identifier, path in zip(identifiers, self.stations, strict=True)
         ]

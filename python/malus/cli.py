@@ -547,16 +547,25 @@ def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: boo
 
 def _check(args: argparse.Namespace) -> None:
     if is_object_file(args.station):
+        if args.overlay is not None:
+            raise InputError(
+                f"--overlay {args.overlay}: is a picture of one station, expected its file instead of an object's"
+            )
         thing = Object.load(args.station)
         plans = thing.check(_options(args, thing.campaign.options), threads=args.threads)
+        surface, surface_seconds = thing.planned_surface(plans)
+        seconds = sum(plan["seconds"] for plan in plans)
         if args.json:
+            said = {"does": surface, "seconds": surface_seconds}
             print(
-                json.dumps({"name": thing.name, "stations": plans, "seconds": sum(plan["seconds"] for plan in plans)})
+                json.dumps(
+                    {"name": thing.name, "stations": plans, "surface": said, "seconds": seconds + surface_seconds}
+                )
             )
             return
-        print(
-            f"object {thing.name}: {len(plans)} stations, {sum(plan['seconds'] for plan in plans):.0f} s one after another"
-        )
+        print(f"object {thing.name}: {len(plans)} stations, {seconds:.0f} s one after another")
+        _print_lines(f"  {surface}")
+        print(f"expected: {surface_seconds:.0f} s")
         for plan in plans:
             _print_plan(plan)
         return
@@ -574,7 +583,9 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    print(f"station {plan['name']}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
+    # Of an object: the name in folders and tables, as the stations' own names may be alike.
+    name = f"{plan['station']} ({plan['name']})" if "station" in plan else plan["name"]
+    print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     _print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
     _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))
@@ -604,6 +615,9 @@ def _object(args: argparse.Namespace) -> None:
             shard=shard,
             progress=view.progress,
         )
+        if args.json and not any(outcome["status"] == "pending" for outcome in outcomes):
+            for warning in _doubts_of_object(_figures_of_object(args.output / "object")):
+                view.log("warning", warning)
     failed = batch.failure(outcomes)
     if not args.json:
         _print_object(args.output / "object", outcomes, args.quiet)
@@ -616,12 +630,22 @@ def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) 
     if pending:
         print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
         return
-    quality = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    quality = _figures_of_object(folder)
     if quiet:  # warnings are printed even so
-        for line in (*doubted_stations(quality), *(f"warning: {warning}" for warning in quality["warnings"])):
+        for line in _doubts_of_object(quality, "warning: "):
             print(line, file=sys.stderr)
         return
     _print_lines(*object_summary(quality), f"  report: malus view {folder}")
+
+
+def _figures_of_object(folder: Path) -> dict[str, Any]:
+    quality: dict[str, Any] = json.loads((folder / "quality.json").read_text(encoding="utf-8"))
+    return quality
+
+
+def _doubts_of_object(quality: dict[str, Any], before: str = "") -> list[str]:
+    """Stations that are not fully trusted, and all warnings, each with the word `before` it."""
+    return [*doubted_stations(quality), *(before + warning for warning in quality["warnings"])]
 
 
 def _compare(args: argparse.Namespace) -> None:

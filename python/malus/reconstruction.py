@@ -22,6 +22,7 @@ from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
 from malus.photogrammetry.front_end import camera_of
+from malus.photogrammetry.plan import Plan
 from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
@@ -301,7 +302,7 @@ def expected_times(
         camera = description.get("camera", {"width": 0, "height": 0})
         width, height = camera["width"], camera["height"]
     if _needs_photos(station, until):
-        planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
+        planned = _planned(description, settings, threads, width, height, known=cameras_known)
         # The second sweep needs a surface fused with the first one: the steps from polarization to fusion run once in between.
         fusing = _core.expected_times(station._core, settings.to_json(), "fuse", size, threads)[1:]
         between = sum(seconds for _, seconds in fusing)
@@ -312,6 +313,16 @@ def expected_times(
         fixed, per_megapixel = _REPORT_SECONDS
         times.append(("report", fixed + per_megapixel * width * height / 1e6))
     return times
+
+
+def _planned(
+    description: dict[str, Any], settings: Options, threads: int, width: int, height: int, *, known: bool
+) -> Plan:
+    """The plan of a station's photos. known: its cameras are found together with those of other stations, from the distances and points
+    of all of them; those that its own file names need not suffice.
+    """
+    said = {**description, "scale": [], "control": []} if known else description
+    return photogrammetry.plan(said, settings, threads, 1e-6 * width * height)
 
 
 def prior_upon_image(
@@ -360,7 +371,7 @@ def check(
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
     if _needs_photos(station, None):
-        planned = photogrammetry.plan(station.describe(), settings, threads, 1e-6 * plan["width"] * plan["height"])
+        planned = _planned(station.describe(), settings, threads, plan["width"], plan["height"], known=cameras_known)
         # Listed after the polarization step, whose image is oriented among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings

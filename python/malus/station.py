@@ -120,6 +120,7 @@ class Station:
     """
 
     _file: str | None = None
+    _photos_of: str | None = None
     _curves: list[tuple[int, int]] | None = None
 
     def __init__(
@@ -204,12 +205,16 @@ class Station:
             require_shares(stack, "images", "their polarized.white_level")
 
     @classmethod
-    def load(cls, path: str | Path) -> Station:
-        """Read a station file; `malus.InputError` names file, field, value and what was expected."""
+    def load(cls, path: str | Path, *, photos_of: str | Path | None = None) -> Station:
+        """Read a station file; `malus.InputError` names file, field, value and what was expected.
+
+        photos_of: a file, such as that of an object, whose [photos] count if the station file has neither [photos] nor [prior].
+        """
         require_utf8(path)
         station = cls.__new__(cls)
-        station._core = _core.Station.load(str(path))
+        station._core = _core.Station.load(str(path), None if photos_of is None else str(photos_of))
         station._file = os.path.abspath(path)
+        station._photos_of = None if photos_of is None else os.path.abspath(photos_of)
         return station
 
     def with_curves_of(self, pixels: Sequence[tuple[int, int]]) -> Station:
@@ -219,7 +224,8 @@ class Station:
         pixels outside of the images.
         """
         station = Station.__new__(Station)
-        station._file, station._curves = self._file, [(int(x), int(y)) for x, y in pixels]
+        station._file, station._photos_of = self._file, self._photos_of
+        station._curves = [(int(x), int(y)) for x, y in pixels]
         station._core = self._core.with_curves_of(station._curves)
         return station
 
@@ -231,7 +237,7 @@ class Station:
             raise TypeError(
                 f"station {self.name}: is made of arrays, expected one of a file, which another process can read again; make it there"
             )
-        return _loaded, (self._file, self._curves)
+        return _loaded, (self._file, self._curves, self._photos_of)
 
     @property
     def name(self) -> str:
@@ -253,9 +259,9 @@ class Station:
         return f"Station({description['name']!r}, {description['image_count']} images, unit={description['unit']!r})"
 
 
-def _loaded(file: str, curves: list[tuple[int, int]] | None) -> Station:
+def _loaded(file: str, curves: list[tuple[int, int]] | None, photos_of: str | None) -> Station:
     """A pickled station, read again."""
-    station = Station.load(file)
+    station = Station.load(file, photos_of=photos_of)
     return station if curves is None else station.with_curves_of(curves)
 
 

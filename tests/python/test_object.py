@@ -6,6 +6,7 @@ import html
 import importlib
 import json
 import os
+import pickle
 import re
 import shutil
 import signal
@@ -25,7 +26,7 @@ from PIL import Image
 
 from conftest import EXAMPLE, demo_with_photos, edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
-from malus import Camera, DataError, InputError, Options, Progress, Station, reconstruct
+from malus import Camera, DataError, ExternalError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
 from malus.object import (
     Object,
@@ -52,10 +53,11 @@ from malus.object.agreement import joined, without_outliers
 from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
+from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
 from malus.object.run import _warnings as object_warnings
-from malus.object.run import find_frame, is_closed
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import LEAST_COSINE, stored
+from malus.pages import template
 from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
@@ -413,6 +415,23 @@ def test_albedo_has_a_texture_of_its_own(sphere, tmp_path: Path) -> None:  # typ
         assert np.abs(texture_of - image).mean() < 3  # JPEG
 
 
+def test_the_textured_mesh_is_the_same_in_any_unit(thin: OrientedPoints, tmp_path: Path) -> None:
+    """In meters, most triangles were below a limit of area of the library that unfolds them, and had no place in the texture."""
+    full = joined_mesh(pieces(thin, CELL), tmp_path, 1.0)
+    gray: Any = SimpleNamespace(linear=lambda points, _: np.full((len(points), 3), 0.5))
+    meshes = {
+        meters: textured(replace(full, vertices=full.vertices / meters), 1000, gray, CELL / meters)
+        for meters in (1, 1e3, 1e-3)
+    }
+    for meters, mesh in meshes.items():
+        corners = mesh.uv[mesh.triangles]
+        (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+        assert (a * d != b * c).all()
+        assert len(mesh.color) == pytest.approx(len(meshes[1].color), rel=0.05)
+        assert meters * mesh.deviation == pytest.approx(meshes[1].deviation, rel=0.05)
+        np.testing.assert_allclose(meters * np.ptp(mesh.vertices, axis=0), 2 * RADIUS, rtol=0.05)
+
+
 def normals_of_texels(mesh: TexturedMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """World normals that the normal map gives at the middle of triangles, and these places."""
     places, uv, normals = (values[mesh.triangles].mean(1) for values in (mesh.vertices, mesh.uv, mesh.normals))
@@ -438,6 +457,11 @@ def test_levels_of_detail_get_smaller_and_keep_the_full_normals(
     simpler = joined_mesh(pieces(thin, 2 * CELL), tmp_path / "simpler", 1.0)
     (coarse,) = levels_of_detail(full, 1000, paint, CELL, simpler)
     assert len(coarse.triangles) == pytest.approx(1000, rel=0.02) and coarse.deviation < 0.3
+    # A mesh with fewer triangles than are allowed has simpler levels, too.
+    few = levels_of_detail(simpler, 8 * len(simpler.triangles), paint, CELL)
+    assert [len(level.triangles) for level in few] == pytest.approx(
+        [len(simpler.triangles), len(simpler.triangles) / 4], rel=0.02
+    )
     for level in levels:
         normals, places = normals_of_texels(level)
         cosine = (normals * places).sum(1) / np.linalg.norm(places, axis=1) / np.linalg.norm(normals, axis=1)
@@ -616,6 +640,9 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
     quiet = malus_here("object", pair, "-o", output, "--quiet")
+    events = [json.loads(line) for line in malus_here("object", pair, "-o", output, "--json").out.splitlines()]
+    told = [event["message"] for event in events if event["event"] == "log" and event["level"] == "warning"]
+    assert told == [line.removeprefix("warning: ") for line in quiet.err.splitlines()] and told
     text = html.unescape((output / "object/report/index.html").read_text())
     for name in ("o0", "o1"):
         confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
@@ -640,8 +667,10 @@ def require_scale(output: Path) -> None:
     page = output / "object/report/index.html"
     views = json.loads(page.read_text().split('id="object-data">')[1].split("</script>")[0])
     longest = max(views["extent"])
+    assert views["seen_by"] == ["o0", "o1"]
     with turning_view(page, "object") as view:
         home = pixel_mm(view)
+        view.locator("[name=paint]").select_option("seen-1")
         assert max(drawn_mm(view)) == pytest.approx(longest, rel=0.08)
         view.get_by_role("button", name="Zoom in").click()
         assert pixel_mm(view) == pytest.approx(home / 1.5, rel=2e-3)
@@ -723,7 +752,44 @@ def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
 def test_check_lists_every_station(pair: Path) -> None:
     outcome = run_malus("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
-    assert "object pair: 2 stations" in outcome.out and outcome.out.count("station small") == 2
+    assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
+    for name in ("o0", "o1"):
+        assert f"station {name} (small): " in outcome.out
+    told = json.loads(run_malus("check", pair, "--json", "--threads", "1").out)
+    assert [plan["station"] for plan in told["stations"]] == ["o0", "o1"]
+    seconds = [plan["seconds"] for plan in told["stations"]]
+    assert (
+        told["seconds"] == pytest.approx(sum(seconds) + told["surface"]["seconds"]) and told["surface"]["seconds"] > 0
+    )
+
+
+def test_check_of_an_object_has_no_picture(pair: Path) -> None:
+    outcome = malus_here("check", pair, "--overlay", "x.png")
+    assert outcome.code == 2 and "--overlay x.png: is a picture of one station" in outcome.err
+
+
+def test_check_names_every_station_that_cannot_be_run(pair: Path) -> None:
+    """It ended at the first of them."""
+    for k in range(2):
+        (pair.parent / f"o{k}/pol/pol_0{3 * (k + 1)}0.tif").write_bytes(b"no image")
+    outcome = malus_here("check", pair, "--threads", "1")
+    assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
+    assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2))
+
+
+def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: Any) -> None:
+        raise ExternalError("COLMAP is missing")
+
+    definition = importlib.import_module("malus.object.definition")
+    monkeypatch.setattr(definition, "Colmap", none)
+    Object.load(pair).require_ready()
+    closed = Object.load(edit(pair, "closed = false", "closed = true"))
+    with pytest.raises(ExternalError, match="COLMAP is missing"):
+        closed.check()
+    monkeypatch.setattr(definition, "require_packages", none)
+    with pytest.raises(ExternalError):
+        Object.load(edit(pair, "closed = true", "closed = false")).check()
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
@@ -841,6 +907,10 @@ def test_check_says_which_masks_a_turntable_lacks(turning: Path) -> None:
     said = " ".join(outcome.out.split())
     assert "warning: turntable: without a mask are 1 of 3 photos (1.png)" in said
     assert "2 of 3 photos have a mask; a visual hull is made of at least 4" in said
+    # With a third station, the outlines of two photos and of two other stations are enough.
+    shutil.copytree(turning.parent / "o1", turning.parent / "o2")
+    edit(turning, '"o1/station.toml"', '"o1/station.toml", "o2/station.toml"')
+    assert "visual hull" not in malus_here("check", turning, "--threads", "1").out
 
 
 @pytest.mark.parametrize("turntable", [True, False])
@@ -951,6 +1021,29 @@ def test_photos_of_an_object_stand_in_its_file_or_in_its_stations(photographed: 
     assert [point["name"] for point in shared["control"]] == ["T"]
 
 
+def test_stations_may_leave_out_the_photos_of_their_object(photographed: Path) -> None:
+    """They had to repeat them; the same photos, named in one place, give the same stations."""
+    before = Object.load(photographed)
+    for k in range(2):
+        edit(photographed.parent / f"o{k}/station.toml", '[photos]\nfolder = "../views"', "")
+    with pytest.raises(InputError, match=r"o0/station.toml.* \[camera\].*qvec"):
+        Object.load(photographed)
+    thing = Object.load(edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]'))
+    assert thing.shared is not None and before.shared is not None
+    assert thing.shared["photos"] == before.shared["photos"]
+    task = thing.campaign.tasks(photographed.parent / "out", 1, photographed.parent / "cameras")[1]
+    assert task.load().describe()["photos"] == thing.shared["photos"]
+    key = task.key()
+    Image.new("L", (96, 64), 99).save(photographed.parent / "views/2.jpg")
+    assert task.key() != key
+    # A process that runs a station reads it again.
+    again = pickle.loads(pickle.dumps(thing.campaign.station(task.station)))
+    assert again.describe() == task.load().describe()
+    edit(photographed.parent / "o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
+    with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has a pose"):
+        Object.load(photographed)
+
+
 def test_control_points_of_stations_count_together(photographed: Path) -> None:
     in_stations(photographed, point("both"))
     in_stations(photographed, point("first") + point("seen", pixel="[7, 8]"), 0)
@@ -964,6 +1057,45 @@ def test_control_points_of_stations_count_together(photographed: Path) -> None:
     in_stations(photographed, point("third", xyz="[1, 2, 4]"), 1)
     with pytest.raises(InputError, match=r"o1/station.toml: \[\[control\]\] third: xyz is not what .*o0/station.toml"):
         Object.load(photographed)
+
+
+def known_distance(check: str = "false") -> str:
+    return f"\n[[scale]]\ndistance = 3\ncheck = {check}\n" + "".join(
+        f'{end} = [{{ image = "0.png", x = 4, y = 5 }}, {{ image = "1.png", x = 4, y = 5 }}]\n' for end in "ab"
+    )
+
+
+def test_the_size_of_an_object_is_stated_in_one_way(photographed: Path) -> None:
+    """Distances in one station's file beside control points in another's did not count, without a word."""
+    in_stations(photographed, known_distance())
+    shared = Object.load(photographed).shared
+    assert shared is not None and len(shared["scale"]) == 1
+    edit(photographed.parent / "o1/station.toml", known_distance(), point())
+    with pytest.raises(InputError, match=r"o0/station.toml: \[\[scale\]\] cannot be given together .*o1/station.toml"):
+        Object.load(photographed)
+    edit(photographed.parent / "o1/station.toml", point(), known_distance("true"))
+    with pytest.raises(InputError, match=r"o1/station.toml: \[\[scale\]\] distance = 3: check is not what .*o0/st"):
+        Object.load(photographed)
+
+
+def test_points_of_a_station_need_the_objects_frame(photographed: Path) -> None:
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]')
+    in_stations(photographed, point(pixel="[7, 8]"), 1)
+    with pytest.raises(InputError, match=r"o1/station.toml: \[\[control\]\] T: the object is not in the frame"):
+        Object.load(photographed)
+    edit(photographed, "[options]", point("of the object") + "[options]")
+    assert Object.load(photographed).shared is not None
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_check_counts_the_points_of_all_stations_together(photographed: Path) -> None:
+    """It demanded of every station that its own points determine the frame."""
+    marks = '[{ image = "0.png", x = 4.0, y = 5.0 }, { image = "1.png", x = 4.0, y = 5.0 }]'
+    in_stations(photographed, point("a", marks=marks) + point("b", xyz="[4, 2, 3]", marks=marks), 0)
+    in_stations(photographed, point("c", xyz="[1, 5, 3]", marks=marks), 1)
+    first, second = Object.load(photographed).check()
+    assert any("frame and size from 3 control points" in line for line in first["does"])
+    assert not any("[[scale]]" in warning for plan in (first, second) for warning in plan["warnings"])
 
 
 @pytest.mark.parametrize(
@@ -1041,6 +1173,63 @@ def test_warnings_of_finding_the_stations_come_once(
     ]  # fmt: skip
 
 
+def test_stations_that_others_do_not_confirm_are_told() -> None:
+    def row(name: str, off: float | None, seen: float = 0.5) -> dict[str, Any]:
+        return {"station": name, "status": "done", "seen_fraction": seen, "agreement": {"rms_ratio": off}}
+
+    told = doubts_of_stations(
+        [row("good", 1.1), row("off", 3.14), row("apart", None), row("unsure", None, 0.0), {"station": "x", "status": "failed"}]
+    )  # fmt: skip
+    assert [warning.split(": ")[1] for warning in told] == ["off", "apart", "unsure"]
+    assert "3.1 standard deviations" in told[0] and "nothing checks its place" in told[1]
+    assert "object.max_sigma_gsd" in told[2]
+    assert doubts_of_stations([row("alone", None)]) == []
+    # Too far off the others to be taken for the same surface: they count as apart, not as in agreement.
+    views = [
+        sphere_view("off", (1, 0, 0), offset=3.0),
+        *(sphere_view(f"s{k}", axis) for k, axis in enumerate(AXES[2:])),
+    ]
+    agreements = combine(views)[1]
+    figures = [agreement_figures([agreement], FAR / FOCAL)["rms_ratio"] for agreement in agreements]
+    told = doubts_of_stations([row(view.name, off) for view, off in zip(views, figures, strict=True)])
+    assert [warning.split(": ")[1] for warning in told] == ["off"]
+
+
+def test_figures_of_the_photos_are_those_of_the_last_run(pair: Path) -> None:
+    """A distance that was held out after the surface was made was not in quality.json: the stations' cameras are the same without it."""
+    thing = Object.load(pair)
+    outcomes = [{"station": name, "reason": "", "manifest": name} for name in ("o0", "o1")]
+    frames = [
+        None, Frame(pair.parent, {"scale": None}, []), Frame(pair.parent, {"scale": {"distances": []}}, []),
+        Frame(pair.parent, {"scale": None}, ["a lens is doubtful"]),
+    ]  # fmt: skip
+    assert len({object_run._key(thing, outcomes, frame) for frame in frames}) == len(frames)
+    same = Frame(pair.parent, {"scale": None}, [])
+    assert object_run._key(thing, outcomes, same) == object_run._key(thing, outcomes, frames[1])
+
+
+def test_the_page_says_how_photos_distances_and_points_fit() -> None:
+    found = {
+        "registered": 14, "photos": 16, "unregistered": ["<7>.jpg"], "reprojection_px": 0.3412, "station": {"a": {}}, "scale": None
+    }  # fmt: skip
+
+    def shown(**more: Any) -> str:
+        quality = {"unit": "cm", "stations": [{}, {}], "photogrammetry": {**found, **more}}
+        return template("object_photos.html.j2").render(quality=quality)
+
+    text = shown()
+    assert "14 of 16 photos and 1 of 2 stations" in text and "0.34 px" in text and "&lt;7&gt;.jpg" in text
+    assert "the size is arbitrary" in text
+    fit = {"name": "[[scale]] 1", "distance": 31.504, "adjusted": 31.5, "sigma": 0.01, "rms_px": 0.4}
+    held_out = [{**fit, "check": False, "residual": 0.001}, {**fit, "check": True, "residual": -0.0213}]
+    text = shown(scale={"distances": held_out, "status": "converged", "sigma": 0.001, "scale": 2.0})
+    assert "Size from 1 known distance: known to 0.05 %" in text
+    assert "<td>check</td>" in text and "−0.021" in text and "residual [cm]" in text
+    points = [{"name": "P", "check": True, "offset": [0.1, -0.2, 0.3], "rms_px": 0.5}]
+    text = shown(control={"datum": {"sigma": 0.1, "check_rms": 0.13, "doubtful": None, "points": points}})
+    assert "the check points are off by 0.13 cm" in text and "−0.2" in text and "arbitrary" not in text
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "expected"),
     [
@@ -1071,19 +1260,28 @@ def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, n
     assert expected in str(caught.value)
 
 
-def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_others(pair: Path) -> None:
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_others(pair: Path, number: int) -> None:
+    """Whether it is the first one or not: a first one was taken for one that names the photos of all."""
     (pair.parent / "views").mkdir()
     (pair.parent / "views/0.png").write_bytes(b"photo")
-    station = pair.parent / "o1/station.toml"
+    station = pair.parent / f"o{number}/station.toml"
     edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
          'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
     edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
     with pytest.raises(
-        InputError, match=r"o1/station.toml: has no \[prior\], so that its frame is that of its own photos"
+        InputError, match=rf"o{number}/station.toml: has no \[prior\], so that its frame is that of its own photos"
     ):
         Object.load(pair)
-    in_stations(pair, point(), 1)
+    in_stations(pair, point(), number)
     assert Object.load(pair).shared is None
+
+
+def test_a_station_without_a_surface_is_refused(pair: Path) -> None:
+    """It failed as the last thing in a run, after hours for the others."""
+    edit(pair.parent / "o1/station.toml", '[prior]\ncloud = "dense/cloud.ply"', "")
+    with pytest.raises(InputError, match=r"o1/station.toml: has neither \[prior\] nor \[photos\]"):
+        Object.load(pair)
 
 
 def test_only_one_station_may_stand_in_its_cameras_frame(pair: Path) -> None:

@@ -765,6 +765,22 @@ void read_regions(const TomlTable& document, Size size, StationFile& station) {
     station.profiles.push_back(read_profile(table, read_name(table, station.profiles.size(), names), size));
 }
 
+/// Gives the tables of a station without [photos] and [prior] the [photos] of another file, whose folder their paths
+/// are relative to.
+void share_photos(toml::table& root, const std::filesystem::path& given_path) {
+  if (root.contains("photos") || root.contains("prior")) return;
+  const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
+  const toml::table other = read_toml(path, "file");
+  const toml::table* const photos = other["photos"].as_table();
+  if (photos == nullptr) return;
+  toml::table shared = *photos;
+  for (const std::string_view key : {"folder", "masks"}) {
+    if (const auto folder = shared[key].value<std::string>())
+      shared.insert_or_assign(key, (path.parent_path() / *folder).lexically_normal().string());
+  }
+  root.insert_or_assign("photos", std::move(shared));
+}
+
 }  // namespace
 
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path,
@@ -829,9 +845,12 @@ Shape read_shape_table(const toml::table& root) {
   return *read_shape(table);
 }
 
-StationFile read_station_file(const std::filesystem::path& given_path) {
+StationFile read_station_file(const std::filesystem::path& given_path,
+                              const std::optional<std::filesystem::path>& photos_of) {
   const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
-  return read_station_tables(read_toml(path, "station file"), path, nullptr);
+  toml::table root = read_toml(path, "station file");
+  if (photos_of) share_photos(root, *photos_of);
+  return read_station_tables(root, path, nullptr);
 }
 
 StationFile read_photos_tables(const std::filesystem::path& path) {

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <filesystem>
+#include <optional>
 #include <vector>
 
 #include "malus/io/station_spec.h"
@@ -16,8 +17,10 @@ inline constexpr std::size_t most_curve_pixels = 8;
 /// globs, angle patterns and COLMAP models. Of the images, only the size of the first polarized one is read, and
 /// camera, patches and profiles are checked against it; clouds are not read. Throws ErrorCode::input with file, line,
 /// field, value and what was expected; ErrorCode::data for fewer than three images or fewer than three distinct
-/// polarizer angles modulo 180°.
-StationFile read_station_file(const std::filesystem::path& path);
+/// polarizer angles modulo 180°. `photos_of`: a file, such as that of an object, whose [photos] count if the station
+/// file has neither [photos] nor [prior].
+StationFile read_station_file(const std::filesystem::path& path,
+                              const std::optional<std::filesystem::path>& photos_of = std::nullopt);
 
 /// As read_station_file, but only [photos] and the [[scale]] bars and [[control]] points marked in them. This is for
 /// object files, whose other tables have another meaning. The result's other fields are not set.

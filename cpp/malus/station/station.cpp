@@ -52,9 +52,9 @@ std::vector<std::filesystem::path> files_of(const StationFile& file) {
 
 }  // namespace
 
-Station Station::load(const std::filesystem::path& path) {
+Station Station::load(const std::filesystem::path& path, const std::optional<std::filesystem::path>& photos_of) {
   Station station;
-  station.file = read_station_file(path);
+  station.file = read_station_file(path, photos_of);
   if (station.file.prior) std::visit([&](const auto& file) { station.prior = file; }, *station.file.prior);
   return station;
 }

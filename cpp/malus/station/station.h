@@ -45,8 +45,10 @@ struct Station {
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }
 
-  /// Reads and checks a station file (not the images). Throws ErrorCode::input.
-  static Station load(const std::filesystem::path& path);
+  /// Reads and checks a station file (not the images). photos_of: a file, such as that of an object, whose [photos]
+  /// count if the station file has neither [photos] nor [prior]. Throws ErrorCode::input.
+  static Station load(const std::filesystem::path& path,
+                      const std::optional<std::filesystem::path>& photos_of = std::nullopt);
 };
 
 /// Content of a station as JSON, for people and programs: name, unit, images, angles, camera, prior, patches, profiles.

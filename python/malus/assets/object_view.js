@@ -23,6 +23,13 @@
   const paints = {
     stations: await attribute(data.stations, Uint16Array, 3, linear), sigma: await attribute(data.sigma, Uint16Array, 3, linear)
   };
+  // What each station sees is blue, all else light gray.
+  const seen = await unpack.words(data.seen, Uint8Array), blue = [33, 102, 172].map(linear), gray = [205, 205, 205].map(linear);
+  data.seen_by.forEach((_, k) => {
+    const values = new Float32Array(3 * count);
+    for (let i = 0; i < count; ++i) values.set(seen[k * count + i] ? blue : gray, 3 * i);
+    paints[`seen-${k}`] = new THREE.BufferAttribute(values, 3);
+  });
   if (data.reference) paints.reference = await attribute(data.reference, Uint16Array, 3, linear);
   const textures = {color: texture};
   if (data.albedo) {

@@ -6,7 +6,8 @@ const unpack = (() => {
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  // Whole numbers; Type is Int16Array, Uint16Array or Uint32Array, which keeps the lowest bits of a number that is too large for it.
+  // Whole numbers; Type is Uint8Array, Int16Array, Uint16Array or Uint32Array, which keeps the lowest bits of a number
+  // that is too large for it.
   async function words(base64, Type) {
     const planes = await inflate(base64), size = Type.BYTES_PER_ELEMENT, count = planes.length / size, values = new Type(count);
     for (let i = 0; i < count; ++i) {

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,14 @@ from malus import _core, photogrammetry
 from malus._files import resolved
 from malus._toml import read_toml
 from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
-from malus.errors import InputError
+from malus.errors import InputError, MalusError, error_of
 from malus.object.reference import Reference
+from malus.object.texture import require_packages
 from malus.options import Options
 from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.photos import photos_of
+from malus.photogrammetry.program import Colmap
 from malus.reconstruction import check
-from malus.station import Station
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
@@ -41,6 +43,8 @@ _FACES = 20000.0
 _LEAST_FACES, _MOST_FACES = 100, 10**9
 #: Formats of the textures in object/levels/. "jpeg": JPEG colors and PNG normals, which every reader of glTF opens.
 _TEXTURE_FORMATS = ("webp", "jpeg")
+#: Expected seconds for the object's surface per megapixel of its stations: 66 for six of .2 megapixels (decision 116).
+_SURFACE_SECONDS_PER_MPX = 55.0
 #: Any of these keys of [camera] gives a pose.
 _POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
 #: Relative difference of two scales of one cloud up to which they are measurements of the same distance: that of scale bars.
@@ -103,10 +107,14 @@ class Object:
         if textures not in _TEXTURE_FORMATS:
             raise InputError(f"{file}: object.texture_format = {textures!r}, expected 'webp' or 'jpeg'")
         files = stations_of(file, "object", table)
-        campaign = Campaign(value("name", file.stem), files, options_of(file, content), value("report", True))
-        stations = {path: Station.load(path).describe() for path in files}
+        own = _own_photos(file) if "photos" in content else None
+        campaign = Campaign(
+            value("name", file.stem), files, options_of(file, content), value("report", True),
+            None if own is None else Path(os.path.abspath(file)),
+        )  # fmt: skip
+        stations = {path: campaign.station(path).describe() for path in files}
         unit = _common_unit(file, stations, value("unit", ""))
-        shared = _shared(file, content, stations)
+        shared = _shared(file, content, stations) if own is None else _own(file, own, stations)
         _require_one_frame(stations, from_photos=shared is not None)
         turntable = value("turntable", False)
         if turntable:
@@ -137,7 +145,9 @@ class Object:
             return []
         masked = {
             "photos": {photo.name: photo.mask is not None for photo in photos_of(self.shared["photos"])},
-            "stations": {str(path): _has_mask(Station.load(path).describe()) for path in self.campaign.stations},
+            "stations": {
+                str(path): _has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations
+            },
         }
         warnings = []
         for what, known in masked.items():
@@ -148,22 +158,65 @@ class Object:
                 )
         return warnings
 
-    def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
-        """The result of `malus.check` for each station; the first one includes the processing of the shared photos."""
+    def require_ready(self) -> None:
+        """Raise what would otherwise end a run after hours of work: ExternalError for a package or program that is missing, and InputError
+        for a reference that cannot be read.
+        """
+        require_packages()
+        if self.closed:
+            Colmap(1, self.campaign.options.photos.backend)
         self.read_reference()
+
+    def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
+        """The result of `malus.check` for each station, with `station`, its name in folders and tables; the first one includes the
+        processing of the shared photos.
+
+        Raises the errors that a run would raise before it starts. If stations cannot be run, the error lists all of them, with reasons.
+        """
+        self.require_ready()
         settings = options or self.campaign.options
-        plans = [
-            check(Station.load(path), settings, cameras_known=self.shared is not None, threads=threads)
-            for path in self.campaign.stations
-        ]
+        plans: list[dict[str, Any]] = []
+        failed: dict[str, MalusError] = {}
+        for task in self.campaign.tasks(Path(), threads):
+            try:
+                plan = check(task.load(), settings, cameras_known=self.shared is not None, threads=threads)
+                plans.append({"station": task.identifier, **plan})
+            except MalusError as error:
+                failed[task.identifier] = error
+        if failed:
+            raise _together(failed, len(self.campaign.stations))
         if self.shared is not None:
-            description = {**Station.load(self.campaign.stations[0]).describe(), **self.shared}
-            photos = photogrammetry.plan(description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"])
+            description = {**self.campaign.station(self.campaign.stations[0]).describe(), **self.shared}
+            photos = photogrammetry.plan(
+                description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"],
+                silhouettes=self._outlines_of_others(),
+            )  # fmt: skip
             plans[0]["does"][1:1] = photos.photos
             plans[0]["warnings"] += [*photos.warnings, *self.unmasked()]
             plans[0]["seconds"] += photos.finding.seconds
             plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)
         return plans
+
+    def _outlines_of_others(self) -> int:
+        """How many outlines of other stations at least are silhouettes for each station."""
+        masks = sum(_has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations)
+        return max(0, masks - 1) if self.turntable else 0
+
+    def planned_surface(self, plans: Sequence[Mapping[str, Any]]) -> tuple[str, float]:
+        """What a run makes of the finished stations, and its expected seconds. plans: of the stations, from `check`."""
+        does = f"surface: one {'closed' if self.closed else 'open'} mesh, and a textured one of at most about {self.faces} triangles"
+        if self.reference is not None:
+            does += f", compared with {self.reference.name}"
+        return does, _SURFACE_SECONDS_PER_MPX * 1e-6 * sum(plan["width"] * plan["height"] for plan in plans)
+
+
+def _together(failed: Mapping[str, MalusError], count: int) -> MalusError:
+    """One error for all stations (by name) that cannot be run, with the exit code of the first; one that all have in common stays as it is."""
+    first = next(iter(failed.values()))
+    if len(failed) == count and len({str(error) for error in failed.values()}) == 1:
+        return first
+    lines = [f"{len(failed)} of {count} stations cannot be run"]
+    return error_of(first.exit_code)("\n".join([*lines, *(f"  {name}: {error}" for name, error in failed.items())]))
 
 
 def _reference(file: Path, name: str, *, given: bool) -> Path | None:
@@ -239,6 +292,11 @@ def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photo
             raise InputError(
                 f"{path}: has a [prior], or no [photos]; expected [photos] alone, as in the other stations of the object"
             )
+        if not from_photos and station["prior"] == "none":
+            raise InputError(
+                f"{path}: has neither [prior] nor [photos], and so no surface; expected [prior] in the frame of the other stations of the "
+                "object, or [photos] in which all of them are found"
+            )
         marked = any(point["marks"] for point in station["control"])
         if not from_photos and station["prior"] == "photos" and not marked:
             raise InputError(
@@ -254,7 +312,7 @@ def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
     without = [
         path
         for path, station in stations.items()
-        if station["prior"] not in ("cloud", "mesh", "photos", "none")
+        if station["prior"] not in ("cloud", "mesh", "photos")
         and not station["control"]
         and not any(key in read_toml(path).get("camera", {}) for key in _POSE_KEYS)
     ]
@@ -283,27 +341,38 @@ def _require_one_scale(stations: Mapping[Path, Mapping[str, Any]]) -> None:
 def _shared(
     file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
 ) -> dict[str, Any] | None:
-    """Photos, known distances and control points by which all stations are found: from the object file, else from the stations."""
-    if "photos" in content:
-        return _own(file, stations)
+    """Photos, known distances and control points by which all stations are found, from the stations' files; None without photos."""
     if names := [name for name in ("scale", "control") if name in content]:
         raise InputError(f"{file}: [[{names[0]}]] needs [photos], in which its points are marked")
-    first, *others = stations
-    if stations[first]["prior"] != "photos":
+    # Next to given surfaces, photos are those of one station, which its control points bring into the frame of the others.
+    photographed = [path for path, station in stations.items() if station["prior"] == "photos"]
+    if not photographed or any(station["prior"] not in ("photos", "none") for station in stations.values()):
         return None
+    first, *others = photographed
     photos = stations[first]["photos"]
     for path in others:
-        if stations[path].get("photos", photos) != photos:
+        if stations[path]["photos"] != photos:
             raise InputError(
                 f"{path}: [photos] are not those of {first}; the stations of an object are found in the same photos"
             )
+    _require_one_size(stations)
     files = ", ".join(str(path) for path in stations)
     marks = {"scale": _distances_of_all(stations), "control": _points_of_all(stations)}
     return {"path": files, "photos": photos, **marks}
 
 
-def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
-    """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
+def _require_one_size(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+    """InputError if one station states distances and another one control points: the points alone would count."""
+    scaled, pointed = (next((path for path in stations if stations[path][key]), None) for key in ("scale", "control"))
+    if scaled is not None and pointed is not None:
+        raise InputError(
+            f"{scaled}: [[scale]] cannot be given together with the [[control]] points of {pointed}: they give the size of the object, "
+            "and those with check = true show how good it is"
+        )
+
+
+def _own_photos(file: Path) -> dict[str, Any]:
+    """The object file's photos, distances and points."""
     own: dict[str, Any] = json.loads(_core.photos_tables(str(file)))
     for point in own["control"]:
         if point["pixel"] is not None:
@@ -311,6 +380,11 @@ def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, An
                 f"{file}: [[control]] {point['name']}: pixel is a place in one station's image; expected it in that station's "
                 "file, and here marks in the photos"
             )
+    return own
+
+
+def _own(file: Path, own: dict[str, Any], stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
+    """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
     for path, station in stations.items():
         if station.get("photos", own["photos"]) != own["photos"]:
             raise InputError(
@@ -320,12 +394,26 @@ def _own(file: Path, stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, An
         marked = [f"[[control]] {point['name']} with marks" for point in station["control"] if point["marks"]]
         if given := ["[[scale]]"] * bool(station["scale"]) + marked:
             raise InputError(f"{path}: {given[0]} does not count, since {file} has [photos]; expected it in that file")
+        if station["control"] and not own["control"]:
+            raise InputError(
+                f"{path}: [[control]] {station['control'][0]['name']}: the object is not in the frame of this point, expected [[control]] "
+                f"points with marks in the photos in {file}"
+            )
     return own
 
 
 def _distances_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
-    """Known distances of all stations, without duplicates."""
-    return list({json.dumps(entry): entry for station in stations.values() for entry in station["scale"]}.values())
+    """Known distances of all stations, without duplicates; InputError if one is held out in one file and used in another."""
+    found: dict[str, tuple[Path, Any]] = {}
+    for path, station in stations.items():
+        for entry in station["scale"]:
+            first, known = found.setdefault(json.dumps({**entry, "check": None}), (path, entry))
+            if entry["check"] != known["check"]:
+                raise InputError(
+                    f"{path}: [[scale]] distance = {entry['distance']:g}: check is not what {first} says of the same distance; "
+                    "expected the same"
+                )
+    return [entry for _, entry in found.values()]
 
 
 def _points_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:

@@ -90,7 +90,7 @@ def _turntable(
     views: Sequence[View],
     distances: NDArray[np.float32] | None,
 ) -> dict[str, Any]:
-    """The textured mesh as a GLB file, its albedo, and vertex colors of the maps (stations, sigma, reference).
+    """The textured mesh as a GLB file, its albedo, vertex colors of the maps (stations, sigma, reference), and which station sees which vertex.
 
     The viewer opens with the first station's view of the object.
     """
@@ -98,14 +98,16 @@ def _turntable(
     to_eye = first.eye - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     nearest = NearestVertices(full)(mesh.vertices)
     small = _for_the_page(mesh)
-    count = np.stack([sees(view, mesh.vertices, full.normals[nearest]) for view in views]).mean(0)
+    seen = np.stack([sees(view, mesh.vertices, full.normals[nearest]) for view in views])
     sigma = np.where(full.measured[nearest], full.sigma[nearest] / (2 * gsd), np.nan)
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         "glb": base64_text(glb(small, "m", "object", webp=True)),
         "albedo": None if small.albedo is None else base64_text(encoded(small.albedo, "WEBP")),
-        "stations": pack(colors_of(1 - count).T),
+        "stations": pack(colors_of(1 - seen.mean(0)).T),
+        "seen_by": [view.name for view in views],
+        "seen": pack(seen, 8),
         "sigma": pack(colors_of(sigma).T),
         "reference": None if distances is None else pack(_colors_of_distances(distances[nearest], gsd).T),
         "meters": METERS[unit],

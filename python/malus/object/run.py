@@ -40,7 +40,6 @@ from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
-from malus.station import Station
 from malus.threads import ALL_CORES
 from malus.workspace import Workspace
 
@@ -48,6 +47,8 @@ from malus.workspace import Workspace
 Progress = Callable[[float, str], None]
 #: Most triangles of a mesh that is simplified as a whole.
 _MOST_TO_SIMPLIFY = 4_000_000
+#: Stations that lie off the others by more than this many standard deviations (RMS) get a warning (docs/tutorials/whole-object.md).
+_WORTH_A_WARNING = 2.0
 
 
 def run_object(
@@ -69,10 +70,7 @@ def run_object(
     outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct.
     """
     say = progress or (lambda *_: None)
-    texture.require_packages()
-    if thing.closed:
-        Colmap(1)  # A missing COLMAP, or an unreadable reference (below), must fail before hours of work.
-    thing.read_reference()
+    thing.require_ready()
     frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
@@ -87,7 +85,7 @@ def run_object(
         raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
     folder = Path(output) / "object"
-    key = _key(thing, outcomes)
+    key = _key(thing, outcomes, frame)
     # If two shards end at once, one makes the surface and the other gets an InputError.
     with exclusive(folder):
         if not _is_made(folder, key):
@@ -132,7 +130,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         outlines = {}
         for count, task in enumerate(tasks):
             say("photos", 0.3 * count / len(tasks), f"polarization of {task.identifier}")
-            station, begun = Station.load(task.station), folder / "polarization" / task.identifier
+            station, begun = task.load(), folder / "polarization" / task.identifier
             try:
                 scene, mask = unpolarized_scene(station, options, begun, threads)
                 said = station.describe()
@@ -190,15 +188,16 @@ def _begin(workspace: Path, begun: Path) -> None:
             shutil.copytree(begun, new, ignore=shutil.ignore_patterns(".lock"), dirs_exist_ok=True)
 
 
-def _key(thing: Object, outcomes: Sequence[Outcome]) -> str:
-    """Hash of what the surface is made from, and of what its page says about stations that are not in it."""
+def _key(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None) -> str:
+    """Hash of what the surface is made from, and of what its page says about stations that are not in it and about the photos."""
     scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
     wanted = [
         thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.texture_format,
         thing.campaign.report, scan,
     ]  # fmt: skip
     stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
-    return hashlib.sha256(json.dumps([_core.version, wanted, stations]).encode()).hexdigest()
+    photos = None if frame is None else [frame.figures, frame.warnings]
+    return hashlib.sha256(json.dumps([_core.version, wanted, stations, photos]).encode()).hexdigest()
 
 
 def _is_made(folder: Path, key: str) -> bool:
@@ -250,7 +249,7 @@ def _fuse(
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
         if thing.closed:
-            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1))
+            mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1, thing.campaign.options.photos.backend))
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
         simpler = _simpler(thing, mesh, everything, gsd, scratch, threads)
@@ -264,14 +263,15 @@ def _fuse(
         files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
+        stations = _station_figures(outcomes, views, agreements, coverage)
+        found = [] if frame is None else frame.warnings
         quality = {
-            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd,
-            "stations": _station_figures(outcomes, views, agreements, coverage),
+            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": _warnings(outcomes, [] if frame is None else frame.warnings, figures["closed"], thing, folder.parent, compared),
+            "warnings": _warnings(outcomes, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
@@ -297,7 +297,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )
-    if _key(thing, outcomes) != key:
+    if _key(thing, outcomes, frame) != key:
         raise InputError(f"{thing.reference}: was changed while the surface was made; run again")
 
 
@@ -319,7 +319,7 @@ def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[Orient
     parts = []
     clouds: dict[str, tuple[str, float]] = {}
     for outcome in done:
-        said = Station.load(outcome["file"]).describe()
+        said = thing.campaign.station(outcome["file"]).describe()
         if "prior_cloud" in said:
             clouds.setdefault(said["prior_cloud"], (outcome["station"], said["prior_scale"]))
     for cloud, (station, scale) in clouds.items():
@@ -394,7 +394,7 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, s
         points, normals = mesh.vertices[rows], mesh.normals[rows]
         by = np.stack([sees(view, points, normals) for view in paint.views])
         colors.add(paint.srgb(points, normals))
-        stations.add(by.sum(0))
+        stations.add(np.minimum(by.sum(0), 255))  # a byte in the file
         seen += by.sum(1)
         alone += (by & (by.sum(0) == 1)).sum(1)
     # Coordinates far from the origin need more than single precision.
@@ -479,6 +479,30 @@ def _warnings(
         warnings.append("object: the mesh was to be closed, but it has open edges")
     if compared is not None and compared["status"] != "done":
         warnings.append(f"object: is not compared with {compared['file']}: {compared['status']}")
+    return warnings
+
+
+def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Warnings about stations in the surface that add nothing to it, or that the others do not confirm. rows: `stations` of quality.json."""
+    done = [row for row in rows if row["status"] == "done"]
+    warnings = []
+    for row in done:
+        name, off = row["station"], row["agreement"]["rms_ratio"]
+        if row["seen_fraction"] == 0:
+            warnings.append(
+                f"object: {name}: no part of the mesh is its surface, which is less sure than object.max_sigma_gsd allows, or which "
+                "others see better or contradict"
+            )
+        elif off is None and len(done) > 1:
+            warnings.append(
+                f"object: {name}: no other station has a surface where it has its own, so that nothing checks its place; if others see the "
+                "same places, a pose or a scale is wrong"
+            )
+        elif off is not None and off > _WORTH_A_WARNING:
+            warnings.append(
+                f"object: {name}: the surfaces of other stations lie {off:.2g} standard deviations (RMS) off its own, expected 1: are its "
+                "pose and its scale right?"
+            )
     return warnings
 
 

@@ -76,14 +76,15 @@ def textured(
     """
     low = mesh if simpler is None else simpler
     middle = low.vertices.mean(0)
-    points, triangles = low.vertices - middle, np.asarray(low.triangles)
+    # In GSD: both libraries have limits of length and area of their own, which a mesh in meters is below.
+    points, triangles = (low.vertices - middle) / gsd, np.asarray(low.triangles)
     if len(triangles) > faces:
         library = extra("fast_simplification", "fast-simplification", "the texture of an object", "object")
         points, triangles = library.simplify(points.astype(np.float32), triangles.astype(np.int32), target_count=faces)
         points = points.astype(np.float64)
-    side, original, triangles, uv = _atlas(points, triangles, gsd, coarseness)
+    side, original, triangles, uv = _atlas(points, triangles, coarseness)
     normals = vertex_normals(points, original[triangles])[original]
-    points = points[original] + middle
+    points = gsd * points[original] + middle
     tangents = _tangents(points, normals, uv, triangles)
     color, fine, bare = (np.zeros((side, side, 3), np.uint8) for _ in range(3))
     flat = TexturedMesh(points, normals, tangents, uv, triangles, color, fine, 0.0, None if albedo is None else bare)
@@ -103,8 +104,9 @@ def levels_of_detail(
     Only the first level has the albedo.
     """
     levels: list[TexturedMesh] = []
+    most = min(faces, len((mesh if simpler is None else simpler).triangles))
     for level in range(_MOST_LEVELS):
-        wanted = faces // 4**level
+        wanted = most // 4**level
         if level and (wanted < _LEAST_FACES or wanted >= len(levels[-1].triangles)):
             break
         bare = None if level else albedo
@@ -195,13 +197,13 @@ class NearestVertices:
 
 
 def _atlas(
-    points: Floats, triangles: NDArray[Any], gsd: float, coarseness: int
+    points: Floats, triangles: NDArray[Any], coarseness: int
 ) -> tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates."""
+    """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates. points: N×3, in GSD."""
     xatlas = extra("xatlas", "xatlas", "the texture of an object", "object")
     corners = points[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
-    side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD / gsd, 64, _MOST_SIDE)) // coarseness
+    side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD, 64, _MOST_SIDE)) // coarseness
     atlas = xatlas.Atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
     packing = xatlas.PackOptions()

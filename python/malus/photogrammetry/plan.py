@@ -43,8 +43,12 @@ def _scale_line(station: Mapping[str, Any]) -> str:
     return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
 
 
-def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx: float) -> Plan:
+def plan(
+    station: Mapping[str, Any], options: Options, threads: int, station_mpx: float, *, silhouettes: int = 0
+) -> Plan:
     """What would be done for a station, as `Station.describe` returns it, with an image of `station_mpx` megapixels.
+
+    silhouettes: outlines of the object beside those that masks of photos give, as of other stations on a turntable.
 
     Raises the errors that a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
@@ -55,7 +59,7 @@ def plan(station: Mapping[str, Any], options: Options, threads: int, station_mpx
     masks = sum(photo.mask is not None for photo in photos)
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
-    if 0 < masks < _core.least_silhouettes:
+    if 0 < masks and masks + silhouettes < _core.least_silhouettes:
         warnings.append(
             f"[photos] masks: {masks} of {len(photos)} photos have a mask; a visual hull is made of at least "
             f"{_core.least_silhouettes}, from many sides"

@@ -558,6 +558,22 @@ TEST_F(StationFileTest, ControlPointsGiveThePose) {
   rejects(sections, "control", "needs [camera] with the lens");
 }
 
+TEST_F(StationFileTest, MayLeaveOutThePhotosThatAnotherFileNames) {
+  Sections sections;
+  sections.camera = "[camera]\nmodel = \"PINHOLE\"\nwidth = 12\nheight = 8\nparams = [100, 101, 6.0, 4.5]\n";
+  sections.prior = "";
+  rejects(sections, "qvec");
+  std::filesystem::create_directories(folder_ / "other");
+  const std::filesystem::path other = folder_.write(
+      "other/object.toml", "[object]\nname = \"x\"\n[photos]\nfolder = \"../views\"\nexclude = [\"2.jpg\"]\n");
+  const StationFile station = read_station_file(folder_ / "station.toml", other);
+  EXPECT_TRUE(station.frame_is_of_photos() && station.lens && !station.camera);
+  EXPECT_EQ(station.photos->folder, folder_ / "views");
+  EXPECT_EQ(station.photos->exclude, std::vector<std::string>{"2.jpg"});
+  const StationFile with_prior = read_station_file(folder_.write("station.toml", Sections().text()), other);
+  EXPECT_FALSE(with_prior.photos.has_value());
+}
+
 TEST_F(StationFileTest, ControlPointsMarkedInPhotos) {
   Sections sections;
   sections.prior = "[photos]\nfolder = \"views\"\n";
