@@ -116,7 +116,7 @@ class Campaign:
 
     def tasks(self, output: str | Path, threads: int, cameras: Path | None = None) -> list[Task]:
         """One task per station, with distinct names: the name of the station file's folder, and the file's own name unless it is
-        station.toml.
+        station.toml. Names differ by more than capital letters, since on many network disks and memory cards those are one folder.
 
         cameras: folder with the cameras of each station in NAME.json, if the stations share one model.
         """
@@ -126,11 +126,13 @@ class Campaign:
         identifiers: list[str] = []
         like: Counter[str] = Counter()  # by name: identifiers that are this name, or this name with a number
         for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
-            identifier = name if like[name] == 0 else f"{name}-{like[name] + 1}"
+            count = like[name.casefold()]
+            identifier = name if count == 0 else f"{name}-{count + 1}"
             identifiers.append(identifier)
-            numbered = re.fullmatch(r"(.+)-\d+", identifier)
-            like.update([identifier] if numbered is None else [identifier, numbered[1]])
-        if len(set(identifiers)) < len(identifiers):
+            folded = identifier.casefold()
+            numbered = re.fullmatch(r"(.+)-\d+", folded)
+            like.update([folded] if numbered is None else [folded, numbered[1]])
+        if len({identifier.casefold() for identifier in identifiers}) < len(identifiers):
             raise InputError(
                 f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"
             )

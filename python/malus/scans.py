@@ -44,11 +44,10 @@ def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(known / np.where(lengths > 0, lengths, 1), dtype=np.float32)
 
 
-def as_ply(path: Path, unit: str, folder: Path) -> Path:
-    """FOLDER/scan.ply with a cloud in LAS or E57, in `unit`, which the C++ library can read. Raises the errors of `read_scan`."""
+def as_ply(points: NDArray[np.float64], normals: NDArray[np.float32] | None, folder: Path) -> Path:
+    """FOLDER/scan.ply with a cloud as `read_scan` returns it, which the C++ library can read."""
     from malus.object.ply import write_ply  # malus.object imports this module
 
-    points, normals = read_scan(path, unit)
     columns: dict[str, tuple[NDArray[Any], str]] = {axis: (points[:, k], "f8") for k, axis in enumerate("xyz")}
     if normals is not None:
         columns |= {f"n{axis}": (normals[:, k], "f4") for k, axis in enumerate("xyz")}

@@ -633,6 +633,36 @@ def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_pat
     assert np.nanmax(np.abs(expected - plain)) > 50
 
 
+def test_the_lens_is_known_once_a_run_has_calibrated_it(tmp_path: Path) -> None:
+    """Patches stayed beside their place in the results, with a note, also after the run that had found the lens of the photos."""
+    from malus.photogrammetry.control import move_model
+    from malus.studio import app
+
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder)
+    station = folder / "station.toml"
+    said_before = re.sub(r"\[prior\]\n.*\n", "", station.read_text())
+    station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", '[photos]\nfolder = "views"\n', said_before))
+    studio = app.Studio(tmp_path, 1)
+    said = studio._station({"path": "relief/station.toml"})
+    assert (said["error"], said["lens"], said["lens_known"]) == (None, None, False)
+    placed, model = folder / "placed", folder / "station_work/prior/colmap/model"
+    placed.mkdir()
+    unmoved = {"scale": 1.0, "rotation": np.eye(3), "translation": np.zeros(3)}
+    # Of a lens that was given, the model has that of the undistorted image.
+    for lens, known in (
+        ("SIMPLE_RADIAL 720 480 1000 360 240 -0.3", True),
+        ("PINHOLE 720 480 1000 1000 360 240", False),
+    ):
+        (placed / "cameras.txt").write_text(f"1 {lens}\n")
+        (placed / "images.txt").write_text("1 1 0 0 0 0 0 0 1 malus_station.png\n\n")
+        move_model(placed, model, unmoved)
+        said = studio._station({"path": "relief/station.toml"})
+        expected = ("SIMPLE_RADIAL", 720, 480, (1000.0, 359.5, 239.5, -0.3)) if known else None
+        assert (said["lens"], said["lens_known"]) == (expected, known)
+    studio.runs.close()
+
+
 def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 
