@@ -94,6 +94,16 @@ def as_rows(
     return array
 
 
+def as_triangles(values: ArrayLike, count: int) -> NDArray[np.uint32]:
+    """The values as M×3 indices of `count` vertices; ValueError for another shape, and for indices that no vertex has."""
+    triangles = as_rows(values, "triangles", dtype=np.int64)
+    if triangles.size and not (triangles.min() >= 0 and triangles.max() < count):
+        raise ValueError(
+            f"triangles has indices from {triangles.min()} to {triangles.max()}, expected 0 to {count - 1}"
+        )
+    return triangles.astype(np.uint32)
+
+
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
     """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
     if not (full_well_e > 0 and np.isfinite(full_well_e)):

@@ -160,11 +160,19 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
 
     content: of the file, if it has been read. A file that cannot be read passes: its reader raises the error.
     """
+    found = kinds_of(file, content)
+    if found and expected not in found:
+        name, command = _KINDS[found[0]]
+        raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+
+
+def kinds_of(file: Path, content: Mapping[str, Any] | None = None) -> list[str]:
+    """The kinds of file (station, object, campaign) that a TOML file may be, by its tables; none if it cannot be read."""
     if content is None:
         try:
             content = read_toml(file)
         except (OSError, ValueError, RecursionError):
-            return
+            return []
     thing = content.get("object")
     kinds = {
         "campaign": "campaign" in content,
@@ -172,10 +180,7 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
         "object": isinstance(thing, dict) and "stations" in thing,
         "station": "polarized" in content,
     }
-    found = [kind for kind, is_it in kinds.items() if is_it]
-    if found and expected not in found:
-        name, command = _KINDS[found[0]]
-        raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+    return [kind for kind, is_it in kinds.items() if is_it]
 
 
 def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:

@@ -21,14 +21,13 @@ from typing import Any, Protocol, TextIO, TypeAlias
 import malus
 from malus import _core, batch, m3c2, registration, scans, studio
 from malus._files import require_utf8
-from malus.campaign import Campaign, require_kind
+from malus.campaign import Campaign, kinds_of, require_kind
 from malus.change import change_summary
 from malus.chart import measure_chart
 from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
-from malus.object.definition import is_object_file
 from malus.object.run import doubted_stations, object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly, nobody_reads
@@ -552,7 +551,7 @@ def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: boo
 
 
 def _check(args: argparse.Namespace) -> None:
-    if is_object_file(args.station):
+    if "object" in kinds_of(args.station):
         thing = Object.load(args.station)
         plans = thing.check(_options(args, thing.campaign.options), threads=args.threads)
         if args.json:

@@ -46,13 +46,13 @@ def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def as_ply(points: NDArray[np.float64], normals: NDArray[np.float32] | None, folder: Path) -> Path:
     """FOLDER/scan.ply with a cloud as `read_scan` returns it, which the C++ library can read."""
-    from malus.object.ply import write_ply  # malus.object imports this module
+    from malus.object.ply import columns, write_ply  # malus.object imports this module
 
-    columns: dict[str, tuple[NDArray[Any], str]] = {axis: (points[:, k], "f8") for k, axis in enumerate("xyz")}
+    properties = columns("xyz", points, "f8")
     if normals is not None:
-        columns |= {f"n{axis}": (normals[:, k], "f4") for k, axis in enumerate("xyz")}
+        properties |= columns(("nx", "ny", "nz"), normals, "f4")
     folder.mkdir(parents=True, exist_ok=True)
-    write_ply(folder / "scan.ply", columns, None, "reference scan")
+    write_ply(folder / "scan.ply", properties, None, "reference scan")
     return folder / "scan.ply"
 
 

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from malus import _core
 from malus._files import natural, read_regular, require_utf8, resolved, write_text
 from malus.errors import InputError
@@ -142,25 +139,10 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
         f"width = {camera.width}",
         f"height = {camera.height}",
         f"params = {_numbers(params)}",
-        f"qvec = {_numbers(_quaternion(rotation))}",
+        f"qvec = {_numbers(_core.quaternion_of(rotation))}",
         f"tvec = {_numbers(translation)}",
         "",
     ]
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """w, x, y, z of a rotation, w ≥ 0: the eigenvector of Bar-Itzhack's matrix (2000), which has no special cases."""
-    r = rotation
-    symmetric = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(symmetric)[1][:, 3]
-    return np.array([w, x, y, z]) * (1 if w >= 0 else -1)
 
 
 def _numbers(values: Iterable[float]) -> str:

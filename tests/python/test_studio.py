@@ -27,7 +27,6 @@ from malus import Camera, DataError, InputError, Station, _core
 from malus.figures import encode
 from malus.options import Options
 from malus.photogrammetry.model import SparseModel
-from malus.station_import import _quaternion
 from studio_browser import (
     PATIENCE_MS,
     RUN_MS,
@@ -610,7 +609,7 @@ def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_pat
     width, height, (focal, _, cx, cy) = given["width"], given["height"], given["params"]
     lens = (
         f'[camera]\nmodel = "SIMPLE_RADIAL"\nwidth = {width}\nheight = {height}\nparams = {[focal, cx + 0.5, cy + 0.5, -4.0]}\n'
-        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+        f"qvec = {_core.quaternion_of(np.array(given['rotation']))}\ntvec = {list(given['translation'])}\n"
     )
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = studio._station({"path": "relief/station.toml"})
@@ -971,7 +970,7 @@ def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -
     lens = (
         f'[camera]\nmodel = "BROWN"\nwidth = {width}\nheight = {height}\nfocal_mm = {0.006 * focal}\npixel_mm = 0.006\n'
         f"x0_mm = {0.006 * (cx - (width - 1) / 2)}\ny0_mm = {-0.006 * (cy - (height - 1) / 2)}\n"
-        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+        f"qvec = {_core.quaternion_of(np.array(given['rotation']))}\ntvec = {list(given['translation'])}\n"
     )
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = phases.compared(Station.load(station), 2)

@@ -175,16 +175,6 @@ def _reference(file: Path, name: str, *, given: bool) -> Path | None:
     return path
 
 
-def is_object_file(path: str | Path) -> bool:
-    """Whether a file is an object file rather than a station file; False also if it cannot be read."""
-    try:
-        table = read_toml(Path(path)).get("object")
-    except (OSError, ValueError, RecursionError):
-        return False
-    # A station file may have a table [object], too, with catalog data.
-    return isinstance(table, dict) and "stations" in table
-
-
 def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expected: str) -> str:
     """The unit of the stations; InputError if they do not all have the same one."""
     for path, station in stations.items():
