@@ -24,6 +24,8 @@ SUFFIXES = frozenset(
     (".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".sr2")
     + (".srw",)
 )
+#: Suffixes of the image files that the C++ library reads itself.
+IMAGE_SUFFIXES = frozenset((".png", ".tif", ".tiff", ".jpg", ".jpeg"))
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 1"

@@ -16,10 +16,9 @@ from malus import _core
 from malus._files import natural, read_regular, require_utf8, resolved, write_text
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
-from malus.raw import is_raw
+from malus.raw import IMAGE_SUFFIXES, is_raw
 from malus.units import METERS
 
-_IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 _BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 _FILE_COLUMNS = ("image", "file", "filename", "name")
 _ANGLE_COLUMNS = ("angle_deg", "angle", "polarizer_angle", "polarizer")
@@ -163,7 +162,7 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
     """The folder's RAW files, or, without RAW files, its other images except the mask, in natural order; InputError for none."""
     files = [path for path in _visible(folder) if path.is_file() and path != mask]
     raw = [path for path in files if is_raw(path)]
-    images = raw or [path for path in files if path.suffix.lower() in _IMAGES]
+    images = raw or [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES]
     if not images:
         kinds = sorted({path.suffix for path in files if path.suffix})
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
@@ -339,9 +338,9 @@ def _image_of_sidecar(content: dict[str, Any], path: Path) -> Path:
         if not image.is_file():
             raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
     else:
-        candidates = [path.with_suffix(suffix) for suffix in sorted(_IMAGES)]
+        candidates = [path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES)]
         image = next((candidate for candidate in candidates if candidate.is_file()), path)
-    if image.suffix.lower() not in _IMAGES and not is_raw(image):
+    if image.suffix.lower() not in IMAGE_SUFFIXES and not is_raw(image):
         raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
     return image
 

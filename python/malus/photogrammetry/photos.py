@@ -19,7 +19,6 @@ from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, positive, tags_of
 
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff"})
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -99,7 +98,7 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
         is_mask = inside is not None and inside in path.parents
-        if not (hidden or is_mask) and path.suffix.lower() in SUFFIXES and path.is_file():
+        if not (hidden or is_mask) and path.suffix.lower() in raw.IMAGE_SUFFIXES and path.is_file():
             names[below.as_posix()] = path
     if beside:
         found = {mask for name in names for mask in _mask_names(name) if mask != name}

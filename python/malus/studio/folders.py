@@ -13,11 +13,10 @@ from malus import _core, exif, station_import
 from malus._files import as_text, is_utf8, natural, open_regular, read_regular, resolved
 from malus.errors import InputError
 from malus.photogrammetry.photos import photo_files
-from malus.raw import is_raw
+from malus.raw import IMAGE_SUFFIXES, is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
 
-_IMAGES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 #: Most folders and files that are searched for stations, results, clouds and models, and most levels of folders.
 _SEARCHED = 20_000
 _SEARCH_DEPTH = 8
@@ -30,7 +29,7 @@ _PLY_HEADER = 8192
 
 
 def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in _IMAGES or is_raw(path)
+    return path.suffix.lower() in IMAGE_SUFFIXES or is_raw(path)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
