@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._extra import extra
-from malus.errors import InputError
+from malus.errors import ExternalError, InputError
 from malus.units import METERS
 
 #: Formats that only the Python package reads (io/point_cloud_file.cpp tells this to users of malus-station).
@@ -26,10 +26,13 @@ def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     """Points (N×3, in `unit`) and their unit normals (N×3, 0 where one is unknown) if the file has normals.
 
     LAS states no unit: its coordinates are taken to be in `unit`. E57 is in meters by its standard. All scans of an E57 file
-    are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points.
+    are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points,
+    ExternalError without the package that reads it.
     """
     try:
         points, normals = _read_e57(path, unit) if path.suffix.lower() == ".e57" else _read_las(path)
+    except ExternalError:  # a package is missing
+        raise
     except (OSError, ValueError, RuntimeError, KeyError) as error:
         raise InputError(f"{path}: is not a cloud that can be read ({error})") from None
     if not len(points):
