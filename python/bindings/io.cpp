@@ -11,6 +11,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/resection_internal.h"
+#include "malus/io/toml_json_internal.h"
 
 namespace malus::python {
 namespace {
@@ -38,6 +39,7 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
 }  // namespace
 
 void bind_io(py::module_& module) {
+  module.def("toml_as_json", &read_toml_as_json, WithoutGil());
   module.def(
       "read_raster",
       [](const std::string& path) {

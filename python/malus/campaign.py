@@ -8,7 +8,6 @@ import hashlib
 import json
 import os
 import re
-import tomllib
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -170,8 +169,8 @@ def kinds_of(file: Path, content: Mapping[str, Any] | None = None) -> list[str]:
     """The kinds of file (station, object, campaign) that a TOML file may be, by its tables; none if it cannot be read."""
     if content is None:
         try:
-            content = read_toml(file)
-        except (OSError, ValueError, RecursionError):
+            content = read_toml(file, "file")
+        except MalusError:
             return []
     thing = content.get("object")
     kinds = {
@@ -187,13 +186,9 @@ def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]
     """Content of a TOML file; InputError for unknown tables and keys. `keys`: the known keys of each table; "" stands for the top
     level, whose keys are the tables.
     """
-    try:
-        content = read_toml(file)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{file}: is not valid TOML ({error})") from None
-    require_kind(file, "campaign" if "campaign" in keys else "object", content)
+    kind = "campaign" if "campaign" in keys else "object"
+    content = read_toml(file, f"{kind} file")
+    require_kind(file, kind, content)
     _check_keys(file, content, "", keys[""])
     for name, table in content.items():
         if name in keys and isinstance(table, dict):

@@ -288,7 +288,7 @@ def test_an_array_job_with_gaps_is_refused(monkeypatch: pytest.MonkeyPatch, task
         ("objects/*/", "things/*/", "no file matches"),
         ("iterations = 2", "iteration = 2", "height.iteration"),
         ("report = false", "report = 3", "expected true or false"),
-        ("[campaign]", "[campaign", "not valid TOML"),
+        ("[campaign]", "[campaign", "not TOML"),
     ],
 )
 def test_errors_in_campaign_files_are_explained(

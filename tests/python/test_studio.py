@@ -571,6 +571,20 @@ def test_options_outside_the_folder_are_not_read(served: Served) -> None:
         (served.folder / name).unlink()
 
 
+def test_an_option_that_goes_back_to_its_default_leaves_no_empty_file(tmp_path: Path) -> None:
+    """The page then showed no options, and every run ended with "options file … is empty", until the file was removed by hand."""
+    from malus.studio import settings
+
+    station = tmp_path / "station.toml"
+    settings.change(station, "surface.subsample", 2)
+    assert settings.options_of(station).surface.subsample == 2
+    settings.change(station, "surface.subsample", None)
+    assert not list(tmp_path.iterdir()) and settings.options_of(station) == Options()
+    settings.file_of(station).write_text("# for the coin\n[surface]\nsubsample = 2\n")
+    settings.change(station, "surface.subsample", None)
+    assert settings.file_of(station).read_text() == "# for the coin\n"
+
+
 def test_tiles_make_up_the_image(tmp_path: Path) -> None:
     import tifffile
     from PIL import Image

@@ -246,7 +246,7 @@ def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
         for path, station in stations.items()
         if station["prior"] not in ("cloud", "mesh", "photos", "none")
         and not station["control"]
-        and not any(key in read_toml(path).get("camera", {}) for key in _POSE_KEYS)
+        and not any(key in read_toml(path, "station file").get("camera", {}) for key in _POSE_KEYS)
     ]
     if len(without) > 1:
         raise InputError(
