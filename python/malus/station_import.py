@@ -202,7 +202,7 @@ def shots_of(
         table = tables[0]
     if table is not None:
         return _all_once(_shots_of_table(folder, Path(table)), images, Path(table))
-    shots = _shots_of_sidecars(folder)
+    shots = _shots_of_sidecars(folder, images)
     if shots:
         return shots
     found = _core.angles_of_names(images, str(folder), f"expected {instead}")
@@ -314,7 +314,7 @@ def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
     return shots
 
 
-def _shots_of_sidecars(folder: Path) -> list[Shot]:
+def _shots_of_sidecars(folder: Path, images: Sequence[Path]) -> list[Shot]:
     """The images that JSON files in the folder describe; empty without such files."""
     shots = []
     sidecars = (path for path in _visible(folder) if path.suffix == ".json")
@@ -328,18 +328,18 @@ def _shots_of_sidecars(folder: Path) -> list[Shot]:
         angle = _angle_of_sidecar(content, path)
         if angle is None:
             continue
-        shots.append(Shot(_image_of_sidecar(content, path), angle))
+        shots.append(Shot(_image_of_sidecar(content, path, images), angle))
     return shots
 
 
-def _image_of_sidecar(content: dict[str, Any], path: Path) -> Path:
+def _image_of_sidecar(content: dict[str, Any], path: Path, images: Sequence[Path]) -> Path:
+    """The image that a JSON file describes: the file that it names, else the image of the folder with its own name."""
     if "filename" in content:
         image = path.parent / str(content["filename"])
         if not image.is_file():
             raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
     else:
-        candidates = [path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES)]
-        image = next((candidate for candidate in candidates if candidate.is_file()), path)
+        image = next((image for image in images if image.stem == path.stem), path)
     if image.suffix.lower() not in IMAGE_SUFFIXES and not is_raw(image):
         raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
     return image
