@@ -12,6 +12,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/resection_internal.h"
+#include "malus/io/toml_json_internal.h"
 
 namespace malus::python {
 namespace {
@@ -44,6 +45,7 @@ void bind_io(py::module_& module) {
   module.attr("length_units") = meters;
   module.attr("image_suffixes") = image_suffixes;
   module.attr("raw_suffixes") = raw_suffixes;
+  module.def("toml_as_json", &read_toml_as_json, WithoutGil());
   module.def(
       "read_raster",
       [](const std::string& path) {

@@ -172,6 +172,7 @@ void bind_photogrammetry(py::module_& module) {
     const auto [camera, pose] = to_camera(values, "camera");
     return RasterView{camera.pinhole(), pose};
   });
+  module.def("quaternion_of", &quaternion_from_rotation);
   module.def("epipolar_line", [](const CameraValues& values, double u, double v, const CameraValues& other_values) {
     const auto [camera, pose] = to_camera(values, "camera");
     const auto [other, other_pose] = to_camera(other_values, "camera");

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import logging
 import multiprocessing
@@ -24,6 +22,7 @@ from malus import _core
 from malus._extra import extra
 from malus._files import read_record, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
+from malus.columns import csv_text
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
 from malus.options import Options
 from malus.pages import template
@@ -357,11 +356,7 @@ def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outc
             | {column: outcome.get("figures", {}).get(column) for column in COLUMNS[3:]}
             for outcome in outcomes
         ]
-        table = io.StringIO()
-        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({column: _as_text(value) for column, value in row.items()} for row in rows)
-        write_text(output / "campaign.csv", table.getvalue())
+        write_text(output / "campaign.csv", csv_text(COLUMNS, (map(_as_text, row.values()) for row in rows)))
         record = {"campaign": campaign.name, "version": _core.version, "stations": rows}
         write_text(output / "campaign.json", json.dumps(record, indent=1) + "\n")
         counts = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "pending")}

@@ -8,7 +8,6 @@ import hashlib
 import json
 import os
 import re
-import tomllib
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -129,7 +128,7 @@ class Campaign:
 
     def tasks(self, output: str | Path, threads: int, cameras: Path | None = None) -> list[Task]:
         """One task per station, with distinct names: the name of the station file's folder, and the file's own name unless it is
-        station.toml.
+        station.toml. Names differ by more than capital letters, since on many network disks and memory cards those are one folder.
 
         cameras: folder with the cameras of each station in NAME.json, if the stations share one model.
         """
@@ -139,11 +138,13 @@ class Campaign:
         identifiers: list[str] = []
         like: Counter[str] = Counter()  # by name: identifiers that are this name, or this name with a number
         for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
-            identifier = name if like[name] == 0 else f"{name}-{like[name] + 1}"
+            count = like[name.casefold()]
+            identifier = name if count == 0 else f"{name}-{count + 1}"
             identifiers.append(identifier)
-            numbered = re.fullmatch(r"(.+)-\d+", identifier)
-            like.update([identifier] if numbered is None else [identifier, numbered[1]])
-        if len(set(identifiers)) < len(identifiers):
+            folded = identifier.casefold()
+            numbered = re.fullmatch(r"(.+)-\d+", folded)
+            like.update([folded] if numbered is None else [folded, numbered[1]])
+        if len({identifier.casefold() for identifier in identifiers}) < len(identifiers):
             raise InputError(
                 f"campaign {self.name}: station folders {', '.join(names)} cannot be told apart by their names"
             )
@@ -172,11 +173,19 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
 
     content: of the file, if it has been read. A file that cannot be read passes: its reader raises the error.
     """
+    found = kinds_of(file, content)
+    if found and expected not in found:
+        name, command = _KINDS[found[0]]
+        raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+
+
+def kinds_of(file: Path, content: Mapping[str, Any] | None = None) -> list[str]:
+    """The kinds of file (station, object, campaign) that a TOML file may be, by its tables; none if it cannot be read."""
     if content is None:
         try:
-            content = read_toml(file)
-        except (OSError, ValueError, RecursionError):
-            return
+            content = read_toml(file, "file")
+        except MalusError:
+            return []
     thing = content.get("object")
     kinds = {
         "campaign": "campaign" in content,
@@ -184,23 +193,16 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
         "object": isinstance(thing, dict) and "stations" in thing,
         "station": "polarized" in content,
     }
-    found = [kind for kind, is_it in kinds.items() if is_it]
-    if found and expected not in found:
-        name, command = _KINDS[found[0]]
-        raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+    return [kind for kind, is_it in kinds.items() if is_it]
 
 
 def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Content of a TOML file; InputError for unknown tables and keys. `keys`: the known keys of each table; "" stands for the top
     level, whose keys are the tables.
     """
-    try:
-        content = read_toml(file)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{file}: is not valid TOML ({error})") from None
-    require_kind(file, "campaign" if "campaign" in keys else "object", content)
+    kind = "campaign" if "campaign" in keys else "object"
+    content = read_toml(file, f"{kind} file")
+    require_kind(file, kind, content)
     _check_keys(file, content, "", keys[""])
     for name, table in content.items():
         if name in keys and isinstance(table, dict):

@@ -21,17 +21,16 @@ from typing import Any, Protocol, TextIO, TypeAlias
 import malus
 from malus import _core, batch, m3c2, registration, scans, studio
 from malus._files import require_utf8
-from malus.campaign import Campaign, require_kind
+from malus.campaign import Campaign, kinds_of, require_kind
 from malus.change import change_summary
 from malus.chart import measure_chart
 from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
-from malus.object.definition import is_object_file
 from malus.object.run import doubted_stations, object_summary
 from malus.options import MAIN
-from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly
+from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly, nobody_reads
 from malus.reconstruction import PLATES_SECONDS, expected_times
 from malus.report_head import size_of_object
 from malus.shell import SHELLS, completion, manual
@@ -429,8 +428,7 @@ def _reconstruct(
     if args.pixels:
         station = station.with_curves_of([_pixel(text) for text in args.pixels])
     if reference is not None and scans.is_scan(reference):
-        _core.claim_workspace(str(args.output), station._core, args.replace)
-        reference = scans.as_ply(reference, station.unit, args.output / "reference")
+        reference = _as_ply(reference, station, args)
     with _view(args) as view:
         expected = expected_times(station, options, until=until, threads=args.threads)
         if args.command == "paper":
@@ -478,6 +476,13 @@ def _reconstruct(
         _print_files(args.output, until)
     if confidence is not None:
         _print_summary(args.output, *confidence, quiet=args.quiet)
+
+
+def _as_ply(scan: Path, station: malus.Station, args: argparse.Namespace) -> Path:
+    """A reference in LAS or E57, written into the workspace for the C++ library. One that cannot be read takes no workspace over."""
+    cloud = scans.read_scan(scan, station.unit)
+    _core.claim_workspace(str(args.output), station._core, args.replace)
+    return scans.as_ply(*cloud, args.output / "reference")
 
 
 def _warn_of_height(view: ProgressView, work: Path) -> None:
@@ -546,7 +551,7 @@ def _print_summary(work: Path, level: str, reasons: Sequence[str], assessed: boo
 
 
 def _check(args: argparse.Namespace) -> None:
-    if is_object_file(args.station):
+    if "object" in kinds_of(args.station):
         if args.overlay is not None:
             raise InputError(
                 f"--overlay {args.overlay}: is a picture of one station, expected its file instead of an object's"
@@ -840,11 +845,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(BrokenPipeError):
             print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our last lines has ended (`malus options | head`): end silently.
-        sys.stderr.close()
-        return 0
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and nobody_reads():
+            # The reader of our last lines has ended (`malus options | head`): end silently.
+            sys.stderr.close()
+            return 0
         if "MALUS_TRACEBACK" in os.environ:
             raise
         code, message = ending_of(error)

@@ -1,14 +1,27 @@
-"""Columns of numbers: all have the same number of decimals, so that the decimal points are aligned."""
+"""Columns of numbers, for people: all have the same number of decimals, so that the decimal points are aligned; and for programs: CSV."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 #: Digits that a column's smallest number shall show, and how many more decimals than the largest number needs it may add for that.
 _SMALLEST, _FURTHER = 2, 2
 #: The minus sign in print: as wide as a plus, and never separated from its number by a line break.
 MINUS = "−"
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A table as CSV, numbers with all digits; missing numbers (None, NaN) are empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow("" if value is None or value != value else value for value in row)
+    return text.getvalue()
 
 
 def decimals(values: Iterable[float | None], digits: int = 3) -> int:

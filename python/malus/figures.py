@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import threading
 import unicodedata
@@ -15,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from malus.columns import csv_text, printed
 from malus.columns import number as readable
-from malus.columns import printed
 from malus.errors import ResourceError
 from malus.lengths import scale_bar, shown
 from malus.units import METERS
@@ -94,12 +93,7 @@ class Figure:
 
     def csv(self) -> str:
         """Numbers as CSV; missing numbers are empty."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.header)
-        for row in self.rows:
-            writer.writerow("" if value is None or value != value else value for value in row)
-        return text.getvalue()
+        return csv_text(self.header, self.rows)
 
 
 def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
@@ -114,12 +108,8 @@ def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
         raise ResourceError(
             f"Pillow cannot write {kind}: too little memory to load its library, or a Pillow that was built without it"
         )
-    mode = "LA" if picture.ndim == 3 and picture.shape[2] == 2 else None
-    image = (
-        Image.fromarray(np.ascontiguousarray(picture), mode) if mode else Image.fromarray(np.ascontiguousarray(picture))
-    )
     buffer = io.BytesIO()
-    image.save(buffer, kind, **options)
+    Image.fromarray(np.ascontiguousarray(picture)).save(buffer, kind, **options)
     return buffer.getvalue()
 
 

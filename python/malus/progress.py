@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import select
 import sys
 import time
 from collections.abc import Sequence
@@ -68,6 +69,14 @@ def duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h"
 
 
+def nobody_reads() -> bool:
+    """Whether standard output or standard error is a pipe whose reader has ended."""
+    poll = select.poll()
+    for descriptor in (1, 2):
+        poll.register(descriptor, 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
 class ProgressView:
     """Receives progress and log events; use as a context manager."""
 
@@ -94,8 +103,8 @@ class ProgressView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # The reader of the output has ended (`malus run … --json | head`), and so the run ended before it was done. For a pipe
-        # that is standard error, rich raises SystemExit.
-        if isinstance(error, BrokenPipeError | SystemExit):
+        # that is standard error, rich raises SystemExit. Other pipes and sockets break, too, which is an error.
+        if isinstance(error, SystemExit) or (isinstance(error, BrokenPipeError) and nobody_reads()):
             raise KeyboardInterrupt from None
 
 

@@ -21,7 +21,7 @@ from malus._arrays import as_rows
 from malus._files import write_text
 from malus._robust import robust_spread
 from malus.errors import DataError
-from malus.object.ply import write_ply
+from malus.object.ply import columns, write_ply
 from malus.workspace import Workspace
 
 #: Cells across the surface, and points of the reference, in the search.
@@ -132,8 +132,7 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     moved = scan @ placement.rotation.T + placement.translation
     folder = workspace.folder / "reference"
     folder.mkdir(exist_ok=True)
-    columns = {axis: (moved[:, k], "f8") for k, axis in enumerate("xyz")}
-    write_ply(folder / "registered.ply", columns, None, "reference moved onto the surface")
+    write_ply(folder / "registered.ply", columns("xyz", moved, "f8"), None, "reference moved onto the surface")
     write_text(folder / "registration.json", json.dumps(figures, indent=2) + "\n")
     return folder / "registered.ply"
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._extra import extra
-from malus.errors import InputError
+from malus.errors import ExternalError, InputError
 from malus.units import METERS
 
 #: Formats that only the Python package reads (io/point_cloud_file.cpp tells this to users of malus-station).
@@ -26,10 +26,13 @@ def read_scan(path: Path, unit: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     """Points (N×3, in `unit`) and their unit normals (N×3, 0 where one is unknown) if the file has normals.
 
     LAS states no unit: its coordinates are taken to be in `unit`. E57 is in meters by its standard. All scans of an E57 file
-    are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points.
+    are read, transformed into the file's common frame. Raises InputError for a file that cannot be read or has no points,
+    ExternalError without the package that reads it.
     """
     try:
         points, normals = _read_e57(path, unit) if path.suffix.lower() == ".e57" else _read_las(path)
+    except ExternalError:  # a package is missing
+        raise
     except (OSError, ValueError, RuntimeError, KeyError) as error:
         raise InputError(f"{path}: is not a cloud that can be read ({error})") from None
     if not len(points):
@@ -44,16 +47,15 @@ def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(known / np.where(lengths > 0, lengths, 1), dtype=np.float32)
 
 
-def as_ply(path: Path, unit: str, folder: Path) -> Path:
-    """FOLDER/scan.ply with a cloud in LAS or E57, in `unit`, which the C++ library can read. Raises the errors of `read_scan`."""
-    from malus.object.ply import write_ply  # malus.object imports this module
+def as_ply(points: NDArray[np.float64], normals: NDArray[np.float32] | None, folder: Path) -> Path:
+    """FOLDER/scan.ply with a cloud as `read_scan` returns it, which the C++ library can read."""
+    from malus.object.ply import columns, write_ply  # malus.object imports this module
 
-    points, normals = read_scan(path, unit)
-    columns: dict[str, tuple[NDArray[Any], str]] = {axis: (points[:, k], "f8") for k, axis in enumerate("xyz")}
+    properties = columns("xyz", points, "f8")
     if normals is not None:
-        columns |= {f"n{axis}": (normals[:, k], "f4") for k, axis in enumerate("xyz")}
+        properties |= columns(("nx", "ny", "nz"), normals, "f4")
     folder.mkdir(parents=True, exist_ok=True)
-    write_ply(folder / "scan.ply", columns, None, "reference scan")
+    write_ply(folder / "scan.ply", properties, None, "reference scan")
     return folder / "scan.ply"
 
 

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from malus import _core
 from malus._files import natural, read_regular, require_utf8, resolved, write_text
 from malus.capture import BAYER_PATTERNS
@@ -141,25 +138,10 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
         f"width = {camera.width}",
         f"height = {camera.height}",
         f"params = {_numbers(params)}",
-        f"qvec = {_numbers(_quaternion(rotation))}",
+        f"qvec = {_numbers(_core.quaternion_of(rotation))}",
         f"tvec = {_numbers(translation)}",
         "",
     ]
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """w, x, y, z of a rotation, w ≥ 0: the eigenvector of Bar-Itzhack's matrix (2000), which has no special cases."""
-    r = rotation
-    symmetric = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(symmetric)[1][:, 3]
-    return np.array([w, x, y, z]) * (1 if w >= 0 else -1)
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -220,7 +202,7 @@ def shots_of(
         table = tables[0]
     if table is not None:
         return _all_once(_shots_of_table(folder, Path(table)), images, Path(table))
-    shots = _shots_of_sidecars(folder)
+    shots = _shots_of_sidecars(folder, images)
     if shots:
         return shots
     found = _core.angles_of_names(images, str(folder), f"expected {instead}")
@@ -332,7 +314,7 @@ def _shots_of_table(folder: Path, table: Path) -> list[Shot]:
     return shots
 
 
-def _shots_of_sidecars(folder: Path) -> list[Shot]:
+def _shots_of_sidecars(folder: Path, images: Sequence[Path]) -> list[Shot]:
     """The images that JSON files in the folder describe; empty without such files."""
     shots = []
     sidecars = (path for path in _visible(folder) if path.suffix == ".json")
@@ -346,18 +328,18 @@ def _shots_of_sidecars(folder: Path) -> list[Shot]:
         angle = _angle_of_sidecar(content, path)
         if angle is None:
             continue
-        shots.append(Shot(_image_of_sidecar(content, path), angle))
+        shots.append(Shot(_image_of_sidecar(content, path, images), angle))
     return shots
 
 
-def _image_of_sidecar(content: dict[str, Any], path: Path) -> Path:
+def _image_of_sidecar(content: dict[str, Any], path: Path, images: Sequence[Path]) -> Path:
+    """The image that a JSON file describes: the file that it names, else the image of the folder with its own name."""
     if "filename" in content:
         image = path.parent / str(content["filename"])
         if not image.is_file():
             raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
     else:
-        candidates = [path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES)]
-        image = next((candidate for candidate in candidates if candidate.is_file()), path)
+        image = next((image for image in images if image.stem == path.stem), path)
     if image.suffix.lower() not in IMAGE_SUFFIXES and not is_raw(image):
         raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
     return image

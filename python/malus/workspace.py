@@ -162,12 +162,17 @@ class Workspace:
         raster: Raster = _core.read_raster(str(self.path(name)))
         return raster
 
+    def rays(self) -> NDArray[np.float64]:
+        """Viewing rays of all pixels, H×W×3, camera frame, z = 1."""
+        camera = self.camera
+        v, u = np.indices((camera.height, camera.width))
+        return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1)
+
     def points(self, depth: Raster | None = None) -> NDArray[np.float64]:
         """World points of all pixels, H×W×3, NaN where there is no depth; of the fused surface, or of a given depth map in its view."""
-        camera, (rotation, translation) = self.camera, self.pose
-        depth = (self.raster("fused/depth.tif") if depth is None else depth).astype(float)
-        v, u = np.indices(depth.shape)
-        in_camera = np.stack([(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], -1)
+        rotation, translation = self.pose
+        in_camera = self.rays()
+        in_camera *= (self.raster("fused/depth.tif") if depth is None else depth)[..., None]
         points: NDArray[np.float64] = (in_camera - translation) @ rotation
         return points
 

@@ -149,7 +149,8 @@ struct Target {
 constexpr std::array targets{
     Target{"ply", [](std::string_view input) { attempt([&] { read_cloud_or_mesh(write("cloud.ply", input)); }); }},
     Target{"xyz", [](std::string_view input) { attempt([&] { read_point_cloud(write("cloud.xyz", input)); }); }},
-    Target{"toml", [](std::string_view input) { attempt([&] { read_toml_as_json(write("o.toml", input)); }); }},
+    Target{"toml",
+           [](std::string_view input) { attempt([&] { read_toml_as_json(write("o.toml", input), "options file"); }); }},
     Target{"station", read_station},
     Target{"colmap_text", [](std::string_view input) { read_colmap(input, ".txt"); }},
     Target{"colmap_binary", [](std::string_view input) { read_colmap(input, ".bin"); }},

@@ -56,7 +56,7 @@ def test_station_file_is_not_toml(small_station: Path, work: Path) -> None:
 def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(small_station: Path, work: Path) -> None:
     small_station.write_text(f"[station]\n{'.'.join(['a'] * 50_000)} = 1\n")
     expect(small_station, work, 2, "station.toml, line 2", "parts")
-    with pytest.raises(InputError, match="line 2: a key of more than 100 parts"):
+    with pytest.raises(InputError, match="line 2: .*a key of more than 100 parts"):
         Campaign.load(small_station)
 
 
@@ -74,12 +74,12 @@ def test_keys_of_thousands_of_parts_are_refused_before_the_parser_sees_them(smal
     ids=["5000 digits", "underscores", "hexadecimal", "20 digits", "64 bits", "exponent", "negative"],
 )
 def test_numbers_out_of_range_are_refused_in_every_file(small_station: Path, number: str) -> None:
-    """tomllib raises another exception for some of them and reads others that the C++ library refuses; printing those failed."""
+    """tomllib raised another exception for some of them and read others that the C++ library refuses; printing those failed."""
     for table, load in (("campaign", Campaign.load), ("object", Object.load)):
         (small_station.parent / "x.toml").write_text(
             f'[{table}]\nstations = ["station.toml"]\n[options.refine]\niterations = {number}\n'
         )
-        with pytest.raises(InputError, match=r"x\.toml: is not valid TOML"):
+        with pytest.raises(InputError, match=r"x\.toml, line 4: not TOML"):
             load(small_station.parent / "x.toml")
     edit(small_station, 'unit = "mm"', f'unit = "mm"\nx = {number}')
     with pytest.raises(InputError, match=r"station\.toml, line 5: not TOML"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import html
 import json
 import os
@@ -113,6 +114,19 @@ def test_a_run_whose_output_nobody_reads_any_more_is_not_done(small_station_sour
     if program.exists():
         station = small_station_source / "station.toml"
         assert unread(program, station, "-o", tmp_path / "c", "--json") == (130, "malus-station: interrupted\n")
+
+
+def test_another_pipe_that_breaks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was taken for the output that nobody reads: commands ended with 130 as if interrupted, or with 0 as if done."""
+
+    def broken(*_: object) -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe", "share/page.html")
+
+    with pytest.raises(BrokenPipeError), JsonProgress():
+        broken()
+    monkeypatch.setattr(malus, "write_report", broken)
+    outcome = malus_here("report", "work")
+    assert (outcome.code, outcome.err) == (5, "malus: share/page.html: Broken pipe\n")
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.2, "5 s"), (42, "40 s"), (150, "2 min"), (9000, "2.5 h")])

@@ -126,9 +126,10 @@ def test_polanalyser_sidecars(folder: Path) -> None:
     assert polarized(folder / "station.toml")["angles_deg"] == pytest.approx(angles)
 
 
-def test_sidecars_with_a_plain_angle(folder: Path) -> None:
+@pytest.mark.parametrize("suffix", [".png", ".PNG"])
+def test_sidecars_with_a_plain_angle(folder: Path, suffix: str) -> None:
     for angle in (0, 60, 120):
-        image(folder / f"shot_{angle // 60}.png")
+        image(folder / f"shot_{angle // 60}{suffix}")
         (folder / f"shot_{angle // 60}.json").write_text(json.dumps({"polarizer_angle": angle}))
     malus.import_station(folder, folder / "station.toml")
     assert polarized(folder / "station.toml")["angles_deg"] == [0, 60, 120]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import zipfile
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import edit, malus_station
+from conftest import edit, malus_here, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.scans import read_scan
@@ -141,6 +142,19 @@ def test_a_reference_may_be_a_scan(tiny_station_source: Path, tmp_path: Path, na
     assert outcome.code == 0, outcome.err
     reference = malus.Workspace(tmp_path / "work").quality["reference"]
     assert reference["compared_fraction"] > 0.9 and reference["distance_gsd"]["mad"] < 2
+
+
+def test_a_reference_that_cannot_be_read_takes_no_workspace_over(
+    small_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With --replace the workspace already was this station's, and no longer the other's, when the reader was missed."""
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    (tmp_path / "scan.las").touch()
+    outcome = malus_here(
+        "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--reference", tmp_path / "scan.las", "--replace"
+    )  # fmt: skip
+    assert outcome.code == 4 and "needs the Python package laspy" in outcome.err
+    assert not (tmp_path / "work").exists()
 
 
 @pytest.mark.parametrize("name", ["cloud.las", "cloud.e57"])

@@ -127,6 +127,22 @@ def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], t
     assert noises[0] == noises[1] and (noises[0]["quantization"] > 0) == (kind is np.uint8)
 
 
+def test_a_response_table_of_other_numbers_than_the_arrays_is_refused(
+    pictures: list[np.ndarray], tmp_path: Path
+) -> None:
+    """Images in [0, 1] were looked up among the first numbers of a table of DN, and so were black, without a word."""
+    curve = tmp_path / "curve.txt"
+    curve.write_text("0 0\n255 1\n")
+    options = malus.Options(capture={"registration": "off"})
+    shares = [picture / 255 for picture in pictures[::2]]
+    with pytest.raises(malus.InputError, match=r"images\[0\]: the response table is of numbers up to 255"):
+        station = malus.Station(shares, ANGLES, CAMERA, polarized={"response": str(curve)})
+        malus.reconstruct(station, options, until="polarization")
+    curve.write_text("0 0\n1 1\n")
+    found = malus.reconstruct(station, options, until="polarization")
+    assert found.unpolarized is not None and np.nanmedian(found.unpolarized) == pytest.approx(65 / 255, rel=0.2)
+
+
 def test_a_station_of_a_file_can_be_sent_to_another_process(
     small_station: Path, pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

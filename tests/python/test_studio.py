@@ -27,7 +27,6 @@ from malus import Camera, DataError, InputError, Station, _core
 from malus.figures import encode
 from malus.options import Options
 from malus.photogrammetry.model import SparseModel
-from malus.station_import import _quaternion
 from studio_browser import (
     PATIENCE_MS,
     RUN_MS,
@@ -572,6 +571,20 @@ def test_options_outside_the_folder_are_not_read(served: Served) -> None:
         (served.folder / name).unlink()
 
 
+def test_an_option_that_goes_back_to_its_default_leaves_no_empty_file(tmp_path: Path) -> None:
+    """The page then showed no options, and every run ended with "options file … is empty", until the file was removed by hand."""
+    from malus.studio import settings
+
+    station = tmp_path / "station.toml"
+    settings.change(station, "surface.subsample", 2)
+    assert settings.options_of(station).surface.subsample == 2
+    settings.change(station, "surface.subsample", None)
+    assert not list(tmp_path.iterdir()) and settings.options_of(station) == Options()
+    settings.file_of(station).write_text("# for the coin\n[surface]\nsubsample = 2\n")
+    settings.change(station, "surface.subsample", None)
+    assert settings.file_of(station).read_text() == "# for the coin\n"
+
+
 def test_tiles_make_up_the_image(tmp_path: Path) -> None:
     import tifffile
     from PIL import Image
@@ -610,7 +623,7 @@ def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_pat
     width, height, (focal, _, cx, cy) = given["width"], given["height"], given["params"]
     lens = (
         f'[camera]\nmodel = "SIMPLE_RADIAL"\nwidth = {width}\nheight = {height}\nparams = {[focal, cx + 0.5, cy + 0.5, -4.0]}\n'
-        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+        f"qvec = {_core.quaternion_of(np.array(given['rotation']))}\ntvec = {list(given['translation'])}\n"
     )
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = studio._station({"path": "relief/station.toml"})
@@ -631,6 +644,36 @@ def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_pat
     np.testing.assert_allclose(plain, taken[part], atol=8)
     np.testing.assert_allclose(straight[np.isfinite(expected)], expected[np.isfinite(expected)], atol=8)
     assert np.nanmax(np.abs(expected - plain)) > 50
+
+
+def test_the_lens_is_known_once_a_run_has_calibrated_it(tmp_path: Path) -> None:
+    """Patches stayed beside their place in the results, with a note, also after the run that had found the lens of the photos."""
+    from malus.photogrammetry.control import move_model
+    from malus.studio import app
+
+    folder = tmp_path / "relief"
+    shutil.copytree(EXAMPLE, folder)
+    station = folder / "station.toml"
+    said_before = re.sub(r"\[prior\]\n.*\n", "", station.read_text())
+    station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", '[photos]\nfolder = "views"\n', said_before))
+    studio = app.Studio(tmp_path, 1)
+    said = studio._station({"path": "relief/station.toml"})
+    assert (said["error"], said["lens"], said["lens_known"]) == (None, None, False)
+    placed, model = folder / "placed", folder / "station_work/prior/colmap/model"
+    placed.mkdir()
+    unmoved = {"scale": 1.0, "rotation": np.eye(3), "translation": np.zeros(3)}
+    # Of a lens that was given, the model has that of the undistorted image.
+    for lens, known in (
+        ("SIMPLE_RADIAL 720 480 1000 360 240 -0.3", True),
+        ("PINHOLE 720 480 1000 1000 360 240", False),
+    ):
+        (placed / "cameras.txt").write_text(f"1 {lens}\n")
+        (placed / "images.txt").write_text("1 1 0 0 0 0 0 0 1 malus_station.png\n\n")
+        move_model(placed, model, unmoved)
+        said = studio._station({"path": "relief/station.toml"})
+        expected = ("SIMPLE_RADIAL", 720, 480, (1000.0, 359.5, 239.5, -0.3)) if known else None
+        assert (said["lens"], said["lens_known"]) == (expected, known)
+    studio.runs.close()
 
 
 def test_images_of_hundreds_of_megapixels_are_shown_and_masked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -941,7 +984,7 @@ def test_the_phase_is_compared_with_a_photogrammetric_lens_too(tmp_path: Path) -
     lens = (
         f'[camera]\nmodel = "BROWN"\nwidth = {width}\nheight = {height}\nfocal_mm = {0.006 * focal}\npixel_mm = 0.006\n'
         f"x0_mm = {0.006 * (cx - (width - 1) / 2)}\ny0_mm = {-0.006 * (cy - (height - 1) / 2)}\n"
-        f"qvec = {_quaternion(np.array(given['rotation'])).tolist()}\ntvec = {list(given['translation'])}\n"
+        f"qvec = {_core.quaternion_of(np.array(given['rotation']))}\ntvec = {list(given['translation'])}\n"
     )
     station.write_text(re.sub(r"\[camera\]\n.*\n.*\n", lens, station.read_text()))
     said = phases.compared(Station.load(station), 2)

@@ -137,6 +137,7 @@ Exposures load_exposures(const CaptureInput& input, const ResponseCurve& curve, 
   parallel_for(context, count, 1, [&](std::size_t k, std::size_t) {
     RawImage raw = input.load(k);
     const Levels levels = levels_of(raw, spec, curve, options.saturation, input.names[k]);
+    require_numbers_of_table(raw, levels, curve, input.names[k]);
     doubts[k] = doubt_of_white_level(raw, levels, input.names[k]);
     LinearImage linear = linearize(std::move(raw), curve, levels, weights, input.names[k], context);
     if (spec.mosaic && linear.color) {

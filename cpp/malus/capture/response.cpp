@@ -190,6 +190,24 @@ Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseC
   return levels;
 }
 
+void require_numbers_of_table(const RawImage& raw, const Levels& levels, const ResponseCurve& curve,
+                              const std::string& name) {
+  constexpr double other_scale = 2;
+  if (!curve.is_of_numbers()) return;
+  const double last = curve.encoded.back();
+  const bool of_shares = raw.is_float && *std::ranges::max_element(raw.pixels) <= 1;
+  if (!of_shares && levels.white_dn <= other_scale * last && last <= other_scale * levels.white_dn) return;
+  std::ostringstream message;
+  message << name << ": the response table is of numbers up to " << last << ", but ";
+  if (of_shares) {
+    message << "no number of the image is above 1";
+  } else {
+    message << "white_level is " << levels.white_dn;
+  }
+  message << "; expected table, image and white_level of one scale, or a table from 0 to 1";
+  throw input_error(message.str());
+}
+
 std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name) {
   if (raw.bits != 16 || levels.white_dn < raw.full_scale_dn) return {};
   const float largest = *std::ranges::max_element(raw.pixels);

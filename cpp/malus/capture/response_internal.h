@@ -54,6 +54,11 @@ struct Levels {
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name);
 
+/// Input error for a table of DN that are not those of the image: the table ends far from the white level, or the image
+/// is in [0, 1]. All intensities would be wrong, most of them black or all alike.
+void require_numbers_of_table(const RawImage& raw, const Levels& levels, const ResponseCurve& curve,
+                              const std::string& name);
+
 /// Question whether the white level is right; empty if there is no doubt. A file of 16 bits in which 1023, 4095 or
 /// 16383 is the largest number, and frequent, holds those of a sensor of fewer bits: what the sensor clipped would not
 /// count as saturated.

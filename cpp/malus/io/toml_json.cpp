@@ -5,9 +5,9 @@
 
 namespace malus {
 
-std::string read_toml_as_json(const std::filesystem::path& path) {
+std::string read_toml_as_json(const std::filesystem::path& path, const std::string& what) {
   std::ostringstream json;
-  json << toml::json_formatter(read_toml(path, "options file"));
+  json << toml::json_formatter(read_toml(path, what));
   return json.str();
 }
 

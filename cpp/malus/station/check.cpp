@@ -49,6 +49,7 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
     RawImage image = input.load(k);
     require_size(image.pixels, plan.size, input.names[k]);
     const Levels levels = levels_of(image, file.polarized, curve, options.saturation, input.names[k]);
+    require_numbers_of_table(image, levels, curve, input.names[k]);
     const std::string doubt = doubt_of_white_level(image, levels, input.names[k]);
     const int channels = image.pixels.channels();
     double clipped = 0, brightest = 0;

@@ -96,7 +96,7 @@ void set_option(Options& options, std::string_view assignment) {
 
 Options options_from_file(const Options& options, const std::filesystem::path& path) {
   try {
-    return options_from_json(options, read_toml_as_json(path));
+    return options_from_json(options, read_toml_as_json(path, "options file"));
   } catch (const Error& error) {
     const std::string where = path.string();
     const std::string message = error.what();

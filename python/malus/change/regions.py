@@ -75,8 +75,6 @@ def find_regions(before: Exporter, distances: Distances) -> list[Region]:
 def pixel_areas(exporter: Exporter) -> NDArray[np.float64]:
     """Area of the surface in each pixel, H×W, station unit squared; NaN where there is none."""
     camera, surface = exporter.workspace.camera, exporter.surface
-    v, u = np.indices(surface.depth.shape)
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1)
     # A pixel's ray has z = 1: across the axis the pixel covers depth² / (fx fy), and on the surface this area over the cosine.
-    facing = np.maximum(-(rays * surface.normals).sum(-1), 0.1)
+    facing = np.maximum(-(exporter.workspace.rays() * surface.normals).sum(-1), 0.1)
     return np.asarray(surface.depth.astype(float) ** 2 / (camera.fx * camera.fy) / facing, dtype=np.float64)

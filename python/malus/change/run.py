@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ from malus.change.page import write_page
 from malus.change.regions import Region, find_regions, pixel_areas
 from malus.change.registration import Registration, register
 from malus.change.significance import Distances, measure
-from malus.columns import plain
+from malus.columns import csv_text, plain
 from malus.errors import InputError
 from malus.exports import Exporter
 from malus.lengths import shown
@@ -192,11 +190,8 @@ def _write_files(
     _core.write_float_tiff(str(folder / "limit.tif"), distances.limit)
     dem = before.dem()
     write_dem(folder / "distance_dem.tif", _on_grid(before, dem, distances), unit=before.unit, name="change")
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(Region.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(region) for region in regions)
-    (folder / "regions.csv").write_text(table.getvalue(), encoding="utf-8")
+    table = csv_text(list(Region.__dataclass_fields__), map(astuple, regions))
+    (folder / "regions.csv").write_text(table, encoding="utf-8")
     (folder / "change.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 

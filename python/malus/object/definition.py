@@ -228,16 +228,6 @@ def _reference(file: Path, name: str, *, given: bool) -> Path | None:
     return path
 
 
-def is_object_file(path: str | Path) -> bool:
-    """Whether a file is an object file rather than a station file; False also if it cannot be read."""
-    try:
-        table = read_toml(Path(path)).get("object")
-    except (OSError, ValueError, RecursionError):
-        return False
-    # A station file may have a table [object], too, with catalog data.
-    return isinstance(table, dict) and "stations" in table
-
-
 def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expected: str) -> str:
     """The unit of the stations; InputError if they do not all have the same one."""
     for path, station in stations.items():
@@ -314,7 +304,7 @@ def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
         for path, station in stations.items()
         if station["prior"] not in ("cloud", "mesh", "photos")
         and not station["control"]
-        and not any(key in read_toml(path).get("camera", {}) for key in _POSE_KEYS)
+        and not any(key in read_toml(path, "station file").get("camera", {}) for key in _POSE_KEYS)
     ]
     if len(without) > 1:
         raise InputError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from malus._extra import extra
 from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
-from malus.object.ply import read_mesh, write_ply
+from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.views import Bools, Floats
 from malus.photogrammetry.program import Colmap
 
@@ -56,8 +56,7 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     extent = float(np.ptp(local, axis=0).max())
     depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
     cloud, raw = (folder / name for name in _FILES)
-    properties = {name: (local[:, axis], "f4") for axis, name in enumerate(("x", "y", "z"))}
-    properties |= {name: (points.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
+    properties = columns("xyz", local, "f4") | columns(("nx", "ny", "nz"), points.normals, "f4")
     gray = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
     write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
     colmap.run(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,14 @@ from malus.object.arrays import chunks
 
 _TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+Properties = dict[str, tuple[NDArray[Any], str]]
+
+
+def columns(names: Iterable[str], values: NDArray[Any], kind: str) -> Properties:
+    """A property of this type for each column of the values (N×K), as `write_ply` takes them."""
+    return {name: (values[:, k], kind) for k, name in enumerate(names)}
 
 
 def write_ply(

@@ -30,7 +30,7 @@ from malus.object.glb import write_levels
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
 from malus.object.meshing import ObjectMesh
-from malus.object.ply import write_ply
+from malus.object.ply import columns, write_ply
 from malus.object.reference import Comparison
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import Floats, View, load_view, sees, stored
@@ -372,9 +372,8 @@ def _write_comparison(
     files = page.write_distances(folder / "reference", comparison.distances, mesh, views, gsd)
     if thing.register:
         path, scan = folder / "reference" / "registered.ply", comparison.reference
-        columns = {axis: (scan.points[:, k], "f8") for k, axis in enumerate("xyz")}
         triangles = None if scan.triangles is None else scan.triangles.astype(np.int64)
-        write_ply(path, columns, triangles, "reference moved onto the surface")
+        write_ply(path, columns("xyz", scan.points, "f8"), triangles, "reference moved onto the surface")
         files.append(path)
     return files
 
@@ -400,12 +399,9 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, s
     # Coordinates far from the origin need more than single precision.
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     far = np.maximum(-low, high).max() > 1e4 * (high - low).max() / 1e3
-    values: dict[str, tuple[NDArray[Any], str]] = {
-        name: (mesh.vertices[:, axis], "f8" if far else "f4") for axis, name in enumerate(("x", "y", "z"))
-    }
-    values |= {name: (mesh.normals[:, axis], "f4") for axis, name in enumerate(("nx", "ny", "nz"))}
-    paints = colors.array()
-    values |= {name: (paints[:, axis], "u1") for axis, name in enumerate(("red", "green", "blue"))}
+    values = columns("xyz", mesh.vertices, "f8" if far else "f4")
+    values |= columns(("nx", "ny", "nz"), mesh.normals, "f4")
+    values |= columns(("red", "green", "blue"), colors.array(), "u1")
     values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations.array(), "u1")}
     write_ply(path, values, mesh.triangles, *(f"{key}: {words}" for key, words in said.items()))
     count = len(mesh.vertices)

@@ -168,8 +168,7 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
     surface = workspace.surface()
     camera, (rotation, translation) = workspace.camera, workspace.pose
     depth = surface.depth.astype(np.float64)
-    rows, columns = np.indices(depth.shape, dtype=np.float64)
-    rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones_like(depth)], -1)
+    rays = workspace.rays()
     length = np.linalg.norm(rays, axis=-1)
     normals = surface.normals.astype(np.float64)
     cosine = -(normals * rays).sum(-1) / length

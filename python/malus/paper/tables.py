@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus.columns import aligned, decimals
+from malus.columns import aligned, csv_text, decimals
 from malus.figures import numbers
 from malus.workspace import Raster, Workspace
 
@@ -32,11 +30,7 @@ class Table:
 
     def csv(self) -> str:
         """The table as CSV, numbers with all digits."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.header)
-        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
-        return text.getvalue()
+        return csv_text(self.header, self.rows)
 
     def markdown(self) -> str:
         """The table as Markdown, numbers with three digits."""

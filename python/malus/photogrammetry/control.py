@@ -13,7 +13,7 @@ from malus import _core
 from malus._files import scratch_folder
 from malus.camera import Camera
 from malus.errors import InputError
-from malus.photogrammetry.scale import Log
+from malus.photogrammetry.diagnosis import Log
 
 #: Least number of points that determine a similarity.
 _LEAST_POINTS = 3

@@ -8,6 +8,7 @@ from typing import Any
 from malus.errors import DataError
 from malus.photogrammetry.database import connected_groups
 
+#: Receives a level (info, warning) and a message.
 Log = Callable[[str, str], None]
 
 #: Fewer features than this do not link a photo to others reliably.

@@ -26,6 +26,7 @@ from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
+from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
@@ -44,7 +45,6 @@ from malus.photogrammetry.station_pose import (
 from malus.photogrammetry.window_matching import match_windows
 
 Report = Callable[[float, str], None]
-Log = Callable[[str, str], None]
 
 
 @dataclass(frozen=True)

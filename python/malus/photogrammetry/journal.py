@@ -13,10 +13,9 @@ from malus import _core
 from malus._files import read_record, sha256_of, write_record
 from malus.errors import InputError
 from malus.photogrammetry import database
+from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.meter import Meter
 from malus.photogrammetry.program import Colmap
-
-Log = Callable[[str, str], None]
 
 _DATABASES = (".db", ".db-wal", ".db-shm")
 

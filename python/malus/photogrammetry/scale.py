@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +14,12 @@ from malus import _core
 from malus.camera import Camera
 from malus.errors import DataError
 from malus.options import Options
-from malus.photogrammetry.diagnosis import listed
+from malus.photogrammetry.diagnosis import Log, listed
 from malus.photogrammetry.photos import Photo, read_gray, to_bytes
 
 #: Residuals of more standard deviations are likely mistakes.
 _SUSPICIOUS = 4.0
 
-Log = Callable[[str, str], None]
 Mark = tuple[str, float, float]
 #: Target id → marks of the target in the photos, for one dictionary.
 Targets = dict[int, list[Mark]]

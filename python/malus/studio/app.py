@@ -144,17 +144,21 @@ class Studio:
 
     def _shown(self, document: StationDocument) -> Json:
         """The file and its values; and, by their names on the page, its images, mask and labels that are in the opened folder. lens:
-        as `pictures.Lens` if it has distortion, else None; lens_known: whether that can be told.
+        as `pictures.Lens` if it has distortion, else None; of a station file without one, that which a run has calibrated. lens_known:
+        whether that can be told.
         """
         images, error, camera = self._images(document)
+        lens = pictures.distorting(camera)
+        if camera is None and error is None and (model := self._model_of(document)) is not None:
+            lens = marks.calibrated_lens(model)
         return {
             "path": self.root.name(document.path),
             "text": document.text,
             "digest": document.digest,
             "values": document.values,
             "images": images,
-            "lens": pictures.distorting(camera),
-            "lens_known": camera is not None,
+            "lens": lens,
+            "lens_known": camera is not None or lens is not None,
             "painted": {kind: self._painted(document, kind) for kind in _PAINTED},
             "error": error,
         }

@@ -9,11 +9,13 @@ from typing import Any
 import malus
 from malus import _core
 from malus.camera import Camera
-from malus.errors import MalusError
+from malus.errors import InputError, MalusError
 from malus.options import Options
 from malus.photogrammetry.control import adjust_datum
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.scale import adjust_scale
+from malus.photogrammetry.station_pose import STATION_IMAGE
+from malus.studio.pictures import Lens, cached, distorting
 
 #: Shown in place of lines and residuals.
 _NO_CAMERAS = "The photos' cameras are not known yet; after the first run lines and residuals are shown here."
@@ -24,6 +26,22 @@ def model_of(station: Path, camera: Mapping[str, Any], works: Sequence[Path]) ->
     folders = [station.parent / camera["colmap_model"]] if "colmap_model" in camera else []
     folders += [work / "prior" / "colmap" / "model" for work in works]
     return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _lens_beside(cameras: Path) -> Lens | None:
+    station = SparseModel.read(cameras.parent).cameras.get(STATION_IMAGE)
+    return None if station is None else distorting(vars(station))
+
+
+_lens_of = cached(_lens_beside, 4)
+
+
+def calibrated_lens(model: Path) -> Lens | None:
+    """The station's lens, if it has distortion, as the run that made this model calibrated it; None if the model does not tell."""
+    try:
+        return _lens_of(model / "cameras.bin")
+    except InputError:
+        return None
 
 
 def lines(cameras: Mapping[str, Camera], image: str, marks: Sequence[Mapping[str, Any]]) -> list[list[tuple[float, float]]]:  # fmt: skip

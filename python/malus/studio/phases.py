@@ -15,7 +15,7 @@ from malus.errors import DataError, InputError
 from malus.overlay import nearest_points
 from malus.photogrammetry.front_end import camera_of
 from malus.reconstruction import prior_upon_image
-from malus.studio.preview import as_picture, small_images
+from malus.studio.preview import angles_from_x, as_picture, small_images
 
 #: Radius over which points of a cloud are averaged, in cells of about one point each: single points give no slopes.
 _SMOOTH_CELLS = 3.0
@@ -38,10 +38,7 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
         raise DataError("the coarse surface covers no pixel of the polarized image, or there is none yet")
     paths = [Path(path) for path in said["images"]]
     images = small_images(paths, said["response"], said["exposure_s"])
-    sign = -1.0 if said["angle_direction"] == "cw" else 1.0
-    state = polarization.decompose(
-        images, [float(np.radians(sign * (angle - said["angle_zero_deg"]))) for angle in angles]
-    )
+    state = polarization.decompose(images, angles_from_x(angles, said["angle_direction"], said["angle_zero_deg"]))
     step = image.shape[1] / images[0].shape[1]
     lens = camera_of(said["camera"])
     normals = _normals(points, image.shape, images[0].shape, (step / lens.fx, step / lens.fy))

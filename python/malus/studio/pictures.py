@@ -78,7 +78,7 @@ def _undistorted(pixels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
     return np.stack([np.rint(np.clip(np.nan_to_num(one), 0, 255)).astype(np.uint8) for one in channels], -1)
 
 
-def _cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
+def cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
     """Caches the result of `make` for a file, and for what else `make` takes, until the file changes."""
     # Two requests for tiles at the same time must not read the image twice.
     lock = threading.Lock()
@@ -127,9 +127,9 @@ def _pyramid(path: Path, lens: Lens | None) -> list[Image.Image]:
 
 
 #: JPEG of an image, small.
-thumbnail = _cached(_thumbnail, 400)
+thumbnail = cached(_thumbnail, 400)
 #: Few at a time, since images are large: the station's images are shown in turn, and one other.
-_pyramid_of = _cached(_pyramid, 3)
+_pyramid_of = cached(_pyramid, 3)
 
 
 def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = None) -> bytes:

@@ -13,27 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import evidence, polarization
+from malus.capture import linearize
 from malus.errors import InputError
 from malus.figures import encode, reduced, step_for
 from malus.studio.pictures import linear_or_encoded
 
 #: Long side of the previews.
 SIDE_PX = 640
-_SRGB_BREAK = 0.04045
 
 
 def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
     """Linear intensity of encoded pixels in [0, 1]. response: as in the station file, linear, srgb or gamma:G."""
     if response == "linear":
         return pixels
-    pixels = np.maximum(pixels, 0)  # Floating-point images may be negative where they are dark.
-    if response == "srgb":
-        return np.where(pixels <= _SRGB_BREAK, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    try:
-        gamma = float(response.removeprefix("gamma:"))
-    except ValueError:
-        raise InputError(f"response = {response!r}, expected linear, srgb or gamma:2.2 for a preview") from None
-    return pixels ** np.float32(gamma)
+    if response != "srgb" and not response.startswith("gamma:"):
+        raise InputError(f"response = {response!r}, expected linear, srgb or gamma:2.2 for a preview")
+    return linearize(pixels, response=response)
 
 
 def small_images(
@@ -56,6 +51,12 @@ def _small(path: Path, response: str) -> NDArray[np.float32]:
     pixels, _ = linear_or_encoded(path, half_size=True)
     gray = pixels if pixels.ndim == 2 else pixels.mean(-1)
     return decoded(reduced(gray, step_for(gray.shape, SIDE_PX)), response)
+
+
+def angles_from_x(angles_deg: Sequence[float], direction: str, zero_deg: float) -> list[float]:
+    """Angles of the filter's scale, in radians counter-clockwise from image +x; direction and zero as in the station file."""
+    sign = -1.0 if direction == "cw" else 1.0
+    return [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
 
 
 def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> str:
@@ -82,8 +83,7 @@ def preview(
     """
     start = time.monotonic()
     images = small_images(paths, response, exposure_s)
-    sign = -1.0 if direction == "cw" else 1.0
-    angles_rad = [float(np.radians(sign * (angle - zero_deg))) for angle in angles_deg]
+    angles_rad = angles_from_x(angles_deg, direction, zero_deg)
     state = polarization.decompose(images, angles_rad)
     degree = np.asarray(state.degree)
     light = np.maximum(state.unpolarized, 0)

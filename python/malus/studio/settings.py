@@ -33,7 +33,7 @@ def listed(station: Path) -> list[dict[str, Any]]:
     """The main options, and all other options that the file sets: name, title, kind of value, default, meaning and value."""
     values = options_of(station).to_dict()
     path = file_of(station)
-    stated = read_toml(path) if path.is_file() else {}
+    stated = read_toml(path, "options file") if path.is_file() else {}
     rows = []
     for name, kind, default, meaning in Options.describe():
         section, key = name.split(".")
@@ -43,7 +43,8 @@ def listed(station: Path) -> list[dict[str, Any]]:
 
 
 def change(station: Path, name: str, value: Any) -> None:
-    """Set an option, or with None return it to its default. All other options and comments in the file are kept.
+    """Set an option, or with None return it to its default. All other options and comments in the file are kept; a file of which
+    nothing is left is removed, since an empty one is an error.
 
     For an option or value that does not exist, raises InputError and writes nothing.
     """
@@ -64,5 +65,8 @@ def change(station: Path, name: str, value: Any) -> None:
         table[key] = value
     if not table:
         del document[section]
-    if document or path.is_file():
-        write_bytes(path, tomlkit.dumps(document).encode())
+    text = tomlkit.dumps(document)
+    if text.strip():
+        write_bytes(path, text.encode())
+    else:
+        path.unlink(missing_ok=True)

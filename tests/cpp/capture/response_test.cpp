@@ -3,6 +3,7 @@
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <optional>
 
 #include "capture/scenes.h"
 #include "malus/capture/response_internal.h"
@@ -76,6 +77,31 @@ TEST(Response, the_last_number_of_a_table_is_the_white_level) {
   EXPECT_EQ(linear.saturated(2, 0), 255);
   spec.white_level = 255;
   EXPECT_EQ(linear_of(raw, spec).saturated(1, 0), 0) << "the station file knows better";
+}
+
+TEST(Response, a_table_of_other_numbers_than_the_image_is_refused) {
+  const auto require = [](const RawImage& raw, const std::string& table, std::optional<double> white = {}) {
+    PolarizedSpec spec;
+    spec.white_level = white;
+    const ResponseCurve curve = read_response_table(table_file(table));
+    require_numbers_of_table(raw, levels_of(raw, spec, curve, 0.995, "raw.png"), curve, "raw.png");
+  };
+  const std::string of_12_bits = "0 0\n4095 1\n", of_shares = "0 0\n1 1\n";
+  RawImage image{Image<float>({2, 1}, 1, 0.5F), 32, true, 1};
+  const auto refused = [&](std::optional<double> white, const std::string& said) {
+    expect_error(
+        ErrorCode::input, [&] { require(image, of_12_bits, white); }, said);
+  };
+  refused({}, "no number of the image is above 1");
+  refused(1, "up to 4095");
+  require(image, of_shares);
+  image.pixels(0, 0) = 900;
+  require(image, of_12_bits);
+  require(image, of_12_bits, 4000);
+  refused(65535, "white_level is 65535");
+  image = raw_8bit(1, {50, 200});
+  refused({}, "white_level is 255");
+  require(image, "0 0\n200 1\n");
 }
 
 TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
