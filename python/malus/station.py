@@ -312,15 +312,3 @@ def _prior_arrays(
         if arrays["prior_depth"].shape != shape:
             raise ValueError(f"prior_depth has shape {arrays['prior_depth'].shape}, expected {shape}")
     return arrays
-
-
-def _triangles(
-    points: NDArray[np.float64] | None, normals: NDArray[np.float32] | None, triangles: ArrayLike | None
-) -> NDArray[np.uint32] | None:
-    if triangles is None:
-        return None
-    if points is None:
-        raise ValueError("prior_triangles are given without prior_points, their vertices")
-    if normals is not None:
-        raise ValueError("prior_triangles and prior_normals: both are given, expected one: a mesh needs no normals")
-    return as_triangles(triangles, "prior_triangles", len(points))
