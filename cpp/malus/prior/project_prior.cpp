@@ -366,7 +366,7 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
 }
 
 /// The number that stands for "no depth" in a raster of a program that writes a large one there, such as 65535, 1e6 or
-/// 3.4e38: the largest on the object, if it lies far behind the other depths.
+/// 3.4e38: the largest on the object, if several pixels have it and it lies far behind the other depths.
 std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& mask) {
   constexpr double far = 3;
   std::vector<float> depths;
@@ -375,8 +375,7 @@ std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& 
   }
   if (depths.empty()) return std::nullopt;
   const float largest = *std::ranges::max_element(depths);
-  std::erase(depths, largest);
-  if (depths.empty() || largest < far * median_in_place(depths)) return std::nullopt;
+  if (std::erase(depths, largest) < 2 || depths.empty() || largest < far * median_in_place(depths)) return std::nullopt;
   return largest;
 }
 
