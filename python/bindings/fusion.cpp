@@ -8,6 +8,7 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
+#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {
@@ -15,6 +16,9 @@ namespace malus::python {
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
       .def(py::init([](Image<float>& depth, Image<float>& normals, Image<float>& sigma, const RasterView& view) {
+        require_shape(depth, view.camera.size, 1, "depth");
+        require_shape(normals, view.camera.size, 3, "normals");
+        require_shape(sigma, view.camera.size, 1, "sigma");
         FusedSurface surface;
         surface.depth = std::move(depth);
         surface.normals = std::move(normals);
@@ -55,9 +59,12 @@ void bind_fusion(py::module_& module) {
                return surface;
              });
   module.def("refine", [](const PolarizationState& state, const DepthPrior& prior,
-                          std::optional<double> refractive_index, const Options& options, int threads) {
+                          std::optional<double> refractive_index, const std::string& reflection,
+                          const std::optional<Mask>& labels, const Options& options, int threads) {
     RefineInput input;
     input.refractive_index = refractive_index;
+    input.reflection = reflection_choice(reflection, labels.has_value());
+    if (labels) input.labels = *labels;
     return computed(
         threads, [&](const Context& context) { return refine(state, prior, input, options.refine, context).surface; });
   });

@@ -1,14 +1,19 @@
 #include <pybind11/stl.h>
 
+#include <utility>
+#include <vector>
+
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection.h"
+#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {
@@ -37,8 +42,28 @@ void bind_decompose(py::module_& module, const char* name) {
 }
 
 double accepted(double eta) {
-  static const std::string name = "refractive_index";  // once, not for every element of an array
-  return accepted_refractive_index(eta, name);
+  return accepted_refractive_index(eta, "refractive_index");
+}
+
+/// function(x) of every element of an array of any shape, as an array of this shape; a number if there are no axes.
+template <class Function>
+py::object of_each_element(const Array<double>& values, const Function& function) {
+  py::array_t<double> results(std::vector<py::ssize_t>(values.shape(), values.shape() + values.ndim()));
+  const double* const from = values.data();
+  double* const to = results.mutable_data();
+  const auto count = static_cast<std::size_t>(values.size());
+  const auto compute = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) to[i] = function(from[i]);
+  };
+  constexpr std::size_t at_once = 1 << 16;  // takes a few milliseconds, less than a thread is worth
+  if (count <= at_once) {
+    compute(0, count);
+  } else {
+    run_interruptible(1, py::none(), py::none(),
+                      [&](const Context& context) { parallel_for(context, count, at_once, compute); });
+  }
+  if (values.ndim() == 0) return py::float_(*to);
+  return results;
 }
 
 /// Getter of a raster of a state. The array shares the state's memory.
@@ -50,16 +75,24 @@ auto raster(Image<T> PolarizationState::*member) {
 }  // namespace
 
 void bind_polarization(py::module_& module) {
-  module.def("diffuse_degree",
-             py::vectorize([](double zenith, double eta) { return diffuse_degree(zenith, accepted(eta)); }));
-  module.def("specular_degree",
-             py::vectorize([](double zenith, double eta) { return specular_degree(zenith, accepted(eta)); }));
-  module.def("diffuse_zenith",
-             py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, accepted(eta)).zenith_rad; }));
-  module.def("specular_zenith", py::vectorize([](double degree, double eta, bool above_brewster) {
-               const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
-               return specular_zenith(degree, accepted(eta), branch).zenith_rad;
-             }));
+  module.def("diffuse_degree", [](const Array<double>& zeniths, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(zeniths, [eta](double zenith) { return diffuse_degree(zenith, eta); });
+  });
+  module.def("specular_degree", [](const Array<double>& zeniths, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(zeniths, [eta](double zenith) { return specular_degree(zenith, eta); });
+  });
+  module.def("diffuse_zenith", [](const Array<double>& degrees, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(degrees, [eta](double degree) { return diffuse_zenith(degree, eta).zenith_rad; });
+  });
+  module.def("specular_zenith", [](const Array<double>& degrees, double refractive_index, bool above_brewster) {
+    const double eta = accepted(refractive_index);
+    const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
+    return of_each_element(degrees,
+                           [eta, branch](double degree) { return specular_zenith(degree, eta, branch).zenith_rad; });
+  });
   module.def("brewster_angle", [](double eta) { return brewster_angle(accepted(eta)); });
 
   py::class_<PolarizationState>(module, "PolarizationState")
@@ -95,21 +128,18 @@ void bind_polarization(py::module_& module) {
       .def_readonly("zenith_rad", &ReflectionMap::zenith)
       .def_readonly("specular_share", &ReflectionMap::specular_share)
       .def_readonly("clamped_share", &ReflectionMap::clamped_share);
-  module.def("map_reflection", [](const PolarizationState& state, const std::optional<RasterView>& view,
-                                  const std::optional<Image<float>>& normals, double refractive_index,
-                                  const std::string& reflection, const Options& all_options, int threads) {
-    ReflectionOptions options = all_options.reflection;
-    options.refractive_index = refractive_index;
-    const auto choice = enum_value<ReflectionChoice>(reflection);
-    if (!choice || *choice == ReflectionChoice::labels) {
-      throw input_error("reflection = \"" + reflection + "\", expected \"auto\", \"diffuse\" or \"specular\"");
-    }
-    options.reflection = *choice;
-    return computed(threads, [&](const Context& context) {
-      return map_reflection(state, view ? &view->camera : nullptr, normals ? &*normals : nullptr, nullptr, options,
-                            context);
-    });
-  });
+  module.def("map_reflection",
+             [](const PolarizationState& state, const std::optional<RasterView>& view,
+                const std::optional<Image<float>>& normals, double refractive_index, const std::string& reflection,
+                const std::optional<Mask>& labels, const Options& all_options, int threads) {
+               ReflectionOptions options = all_options.reflection;
+               options.refractive_index = refractive_index;
+               options.reflection = reflection_choice(reflection, labels.has_value());
+               return computed(threads, [&](const Context& context) {
+                 return map_reflection(state, view ? &view->camera : nullptr, normals ? &*normals : nullptr,
+                                       labels ? &*labels : nullptr, options, context);
+               });
+             });
 }
 
 }  // namespace malus::python

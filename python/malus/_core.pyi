@@ -314,6 +314,7 @@ def map_reflection(
     normals: _Float32 | None,
     refractive_index: float,
     reflection: str,
+    labels: _Bytes | None,
     options: str,
     threads: int,
 ) -> ReflectionMap: ...
@@ -382,7 +383,13 @@ def optimize_grid(
     threads: int,
 ) -> FusedSurface: ...
 def refine(
-    state: PolarizationState, prior: DepthPrior, refractive_index: float | None, options: str, threads: int
+    state: PolarizationState,
+    prior: DepthPrior,
+    refractive_index: float | None,
+    reflection: str,
+    labels: _Bytes | None,
+    options: str,
+    threads: int,
 ) -> FusedSurface: ...
 def normals_from_depth(depth: _Float32, camera: Camera, threads: int) -> _Float32: ...
 def mesh_from_depth(surface: FusedSurface, color: _Float32 | None, options: str, threads: int) -> dict[str, Any]: ...

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_rows
+from malus._arrays import as_image, as_rows, as_triangles
 from malus._core import FusedSurface
 from malus.camera import Camera
 from malus.options import Options
@@ -71,10 +70,5 @@ def compare(
     `assess.alignment` says how the surface is moved onto the reference first.
     """
     points = as_rows(vertices, "vertices")
-    faces = None
-    if triangles is not None:
-        indices = np.ascontiguousarray(triangles, dtype=np.int64)
-        if indices.ndim != 2 or indices.shape[1] != 3 or indices.min() < 0 or indices.max() >= len(points):
-            raise ValueError(f"triangles has shape {indices.shape}, expected (M, 3) indices of the vertices")
-        faces = indices.astype(np.uint32)
+    faces = None if triangles is None else as_triangles(triangles, len(points))
     return _core.compare_with_reference(surface, points, faces, gsd, (options or Options()).to_json(), threads)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from malus import _core
+from malus._arrays import as_labels
 from malus._core import DepthPrior, FusedSurface, HeightMap, PolarizationState, ReflectionMap
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -42,12 +45,24 @@ def refine(
     prior: DepthPrior,
     *,
     refractive_index: float | None = 1.5,
+    reflection: str = "auto",
+    labels: ArrayLike | None = None,
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
 
+    reflection: "auto", "diffuse" or "specular", as [optics] of a station file. labels: H×W, 1 = diffuse, 2 = specular, 0 = decide, with
+    reflection "auto" only. Raises ValueError for labels of another shape or with other values, malus.InputError for other words.
     The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted;
     `status` says how the solver ended, and `warnings` lists its warnings.
     """
-    return _core.refine(state, prior, refractive_index, (options or Options()).to_json(), threads)
+    return _core.refine(
+        state,
+        prior,
+        refractive_index,
+        reflection,
+        as_labels(labels, state.unpolarized.shape),
+        (options or Options()).to_json(),
+        threads,
+    )

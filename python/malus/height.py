@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_mask
+from malus._arrays import as_image, as_mask, as_numbers
 from malus._core import HeightMap, PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -60,7 +60,7 @@ def light_from_polarization(
     """
     vector = None
     if direction is not None:
-        vector = np.asarray(direction, dtype=np.float64)
+        vector = np.asarray(as_numbers(direction, "direction"), dtype=np.float64)
         if vector.shape != (3,) or not np.linalg.norm(vector) > 0:
             raise ValueError(f"direction is {vector.tolist()}, expected three numbers that are not all zero")
     return _core.light_from_polarization(state, reflection, vector, camera, (options or Options()).to_json(), threads)
@@ -84,7 +84,7 @@ def solve(
     """
     vector = None
     if light is not None:
-        vector = np.asarray(light, dtype=np.float64)
+        vector = np.asarray(as_numbers(light, "light"), dtype=np.float64)
         if vector.shape != (4,):
             raise ValueError(f"light has shape {vector.shape}, expected (4,): light vector and ambient")
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_intensities, as_mask, as_shares, require_noise
+from malus._arrays import (
+    as_angles,
+    as_image,
+    as_intensities,
+    as_labels,
+    as_mask,
+    as_numbers,
+    as_shares,
+    require_noise,
+)
 from malus._core import PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -54,7 +63,7 @@ def calibrate(
     stack = as_shares(images, "images")
     return _core.fit_polarizer(
         stack,
-        [float(a) for a in angles_rad],
+        as_angles(angles_rad, "angles_rad", len(stack) if len(angles_rad) else None),
         as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
@@ -90,7 +99,7 @@ def decompose(
     fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
     return fit(
         stack,
-        as_angles(angles_rad, "angles_rad"),
+        as_angles(angles_rad, "angles_rad", len(stack)),
         as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
@@ -100,26 +109,30 @@ def decompose(
     )
 
 
+def _plain(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    return np.asarray(as_numbers(values, name), dtype=np.float64)
+
+
 def diffuse_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
     """Degree of linear polarization of diffuse reflection (Eq 6), any shape. InputError unless the index is from 1.05 to 3."""
-    return _core.diffuse_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+    return _core.diffuse_degree(_plain(zenith_rad, "zenith_rad"), refractive_index)
 
 
 def specular_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
     """Degree of linear polarization of specular reflection (Eq 8), any shape."""
-    return _core.specular_degree(np.asarray(zenith_rad, dtype=np.float64), refractive_index)
+    return _core.specular_degree(_plain(zenith_rad, "zenith_rad"), refractive_index)
 
 
 def diffuse_zenith(degree: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
     """Zenith [rad] of a diffuse degree (Eq 7); degrees above the largest possible degree give 90°."""
-    return _core.diffuse_zenith(np.asarray(degree, dtype=np.float64), refractive_index)
+    return _core.diffuse_zenith(_plain(degree, "degree"), refractive_index)
 
 
 def specular_zenith(
     degree: ArrayLike, refractive_index: float = 1.5, *, above_brewster: bool = False
 ) -> NDArray[np.float64]:
     """Zenith [rad] of a specular degree (inverse of Eq 8) on one side of Brewster's angle."""
-    return _core.specular_zenith(np.asarray(degree, dtype=np.float64), refractive_index, above_brewster)
+    return _core.specular_zenith(_plain(degree, "degree"), refractive_index, above_brewster)
 
 
 def brewster_angle(refractive_index: float = 1.5) -> float:
@@ -134,15 +147,24 @@ def map_reflection(
     prior_normals: ArrayLike | None = None,
     refractive_index: float = 1.5,
     reflection: str = "auto",
+    labels: ArrayLike | None = None,
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> ReflectionMap:
     """Label pixels diffuse (1) or specular (2) and compute their zenith from the degree.
 
     camera None = orthographic. prior_normals: H×W×3, unit, camera frame, towards the camera; they decide between diffuse
-    and specular and pick the side of Brewster's angle. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
+    and specular and pick the side of Brewster's angle. reflection: "auto", "diffuse" or "specular". labels: H×W, 1 = diffuse, 2 =
+    specular, 0 = decide, with reflection "auto" only. Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
     """
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
     return _core.map_reflection(
-        state, camera, normals, refractive_index, reflection, (options or Options()).to_json(), threads
+        state,
+        camera,
+        normals,
+        refractive_index,
+        reflection,
+        as_labels(labels, state.unpolarized.shape),
+        (options or Options()).to_json(),
+        threads,
     )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_mask, as_rows
+from malus._arrays import as_image, as_mask, as_rows, as_triangles
 from malus._core import DepthPrior
 from malus.camera import Camera
 from malus.options import Options
@@ -51,12 +51,10 @@ def project_mesh(
     threads: int = ALL_CORES,
 ) -> DepthPrior:
     """As `project_points`, for a mesh: vertices N×3 (world frame), triangles M×3 (indices). Holes are filled from their surroundings."""
-    corners, faces = as_rows(vertices, "vertices"), as_rows(triangles, "triangles", dtype=np.int64)
-    if faces.size and not (faces.min() >= 0 and faces.max() < len(corners)):
-        raise ValueError(f"triangles has indices from {faces.min()} to {faces.max()}, expected 0 to {len(corners) - 1}")
+    corners = as_rows(vertices, "vertices")
     return _core.project_mesh(
         corners,
-        faces.astype(np.uint32),
+        as_triangles(triangles, len(corners)),
         camera,
         as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),

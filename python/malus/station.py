@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_mask, as_rows, require_shares
+from malus._arrays import as_image, as_images, as_mask, as_numbers, as_rows, require_shares
 from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import InputError
@@ -248,7 +248,7 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
         return angles_deg
-    angles = np.asarray(angles_deg, dtype=np.float64)
+    angles = as_numbers(angles_deg, "angles_deg")
     if angles.shape != (count,):
         raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles

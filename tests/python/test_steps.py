@@ -7,12 +7,13 @@ import inspect
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import malus
-from conftest import ROOT, malus_here
+from conftest import QUICK, ROOT, malus_here
 from malus import synthetic
 from malus.camera import Camera
 
@@ -186,6 +187,35 @@ def test_fusions_on_arrays(dome: Dome) -> None:
     errors = {name: dome.detail_gsd(surface.depth) / before for name, surface in after.items()}
     assert max(errors.values()) < 0.5, errors
     assert by_grid is not together and not np.array_equal(by_grid.depth, together.depth)
+
+
+def test_known_reflection_on_arrays(dome: Dome) -> None:
+    """Only station files could state it to the refinement, and labels to both functions."""
+    labels = np.ones((96, 96), np.uint8)
+    labels[:, :48] = 2
+    found = malus.polarization.map_reflection(dome.state, labels=labels)
+    usable = dome.state.valid == 255
+    np.testing.assert_array_equal(found.label[usable], labels[usable])
+
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+    prior = malus.prior.project_depth(smooth, dome.camera)
+    ways: list[dict[str, Any]] = [{"reflection": "diffuse"}, {"labels": np.ones((96, 96))}, {"reflection": "specular"}]
+    by_word, by_labels, other = (
+        malus.fusion.refine(dome.state, prior, options=malus.Options(refine=QUICK), threads=2, **way).depth
+        for way in ways
+    )
+    np.testing.assert_allclose(by_labels, by_word, rtol=1e-6)
+    assert not np.allclose(other, by_word, rtol=1e-6)
+
+    with pytest.raises(malus.InputError, match='reflection = "diffuse" is given together with labels'):
+        malus.polarization.map_reflection(dome.state, reflection="diffuse", labels=labels)
+    with pytest.raises(malus.InputError, match='reflection = "matte", expected "auto"'):
+        malus.fusion.refine(dome.state, prior, reflection="matte")
+    with pytest.raises(ValueError, match=r"labels has shape \(95, 96\), expected \(96, 96\)"):
+        malus.fusion.refine(dome.state, prior, labels=labels[1:])
+    with pytest.raises(ValueError, match="labels has the value 258, expected 0"):
+        malus.polarization.map_reflection(dome.state, labels=np.full((96, 96), 258))
 
 
 def test_mesh_and_assessment_on_arrays() -> None:
