@@ -616,6 +616,8 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
     quiet = malus_here("object", pair, "-o", output, "--quiet")
+    events = map(json.loads, malus_here("object", pair, "-o", output, "--json").out.splitlines())
+    logged = [event["message"] for event in events if event["event"] == "log"]
     text = html.unescape((output / "object/report/index.html").read_text())
     for name in ("o0", "o1"):
         confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
@@ -624,6 +626,7 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         assert all(text.count(reason) == 1 for reason in confidence["reasons"])  # once for all stations, first of all
         said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
         assert said in outcome.out and said in quiet.err
+        assert any(line.startswith(said) for line in logged)
         assert " 50 %  stations " in outcome.err and "100 %  object " in outcome.err
         size, mesh = outcome.out.splitlines()[0], outcome.out.splitlines()[2]
         assert re.fullmatch(r"pair: [\d.]+ × [\d.]+ × [\d.]+ mm, 2 of 2 stations, one pixel is [\d.]+ µm", size)
