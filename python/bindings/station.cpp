@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <tuple>
+#include <utility>
 
 #include "arrays.h"
 #include "bindings.h"
@@ -75,6 +76,7 @@ Station with_cloud(Station station, const Array<double>& points, const std::opti
 Station with_developed(Station station, const std::vector<std::string>& images, std::optional<double> full_well_e,
                        std::optional<double> read_noise_e) {
   PolarizedSpec& spec = station.file.polarized;
+  station.developed_from = std::move(spec.images);
   spec.images.assign(images.begin(), images.end());
   if (!spec.full_well_e && !spec.read_noise_e) {
     spec.full_well_e = full_well_e;

@@ -56,6 +56,8 @@ class StationInputs {
   Json array(const std::string& name, const void* data, std::size_t bytes);
   template <class T>
   Json array(const std::string& name, const T& values);
+  /// Names and hashes of the photos that a swept surface comes from, as the photogrammetry states them; null without.
+  Json photos();
   std::string name_of(const std::filesystem::path& path) const;
 
   const Station& station_;
