@@ -1,3 +1,4 @@
+#include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
 #include <utility>
@@ -10,6 +11,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/decompose_internal.h"
+#include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection.h"
@@ -64,6 +66,29 @@ py::object of_each_element(const Array<double>& values, const Function& function
   }
   if (values.ndim() == 0) return py::float_(*to);
   return results;
+}
+
+/// The state, corrected if a surface's azimuths contradict the zero of the polarizer's scale, and the figures of that.
+std::pair<PolarizationState, py::object> calibrated_with_surface(
+    const PolarizationState& state, const std::optional<RasterView>& view, const Image<float>& normals,
+    const std::optional<Eigen::Vector3d>& light, bool known_scale, const std::string& reflection,
+    double refractive_index, const Options& options, int threads) {
+  FrameHints hints;
+  hints.known_scale = known_scale;
+  const ReflectionChoice choice = reflection_choice(reflection, false);
+  if (choice != ReflectionChoice::automatic) hints.specular = choice == ReflectionChoice::specular;
+  hints.refractive_index = accepted(refractive_index);
+  hints.light = light;
+  PolarizationState corrected = state;
+  const PolarizerCalibration found = computed(threads, [&](const Context& context) {
+    const PolarizerFit given = polarizer_as_given(state.angles_rad, options.polarizer);
+    const FrameEstimate surface =
+        estimate_frame(state, view ? &view->camera : nullptr, normals, hints, options.polarizer, context);
+    CalibratedFrame result = calibrate_frame(given, false, known_scale, surface, options.polarizer);
+    if (result.calibration.from_surface) apply_frame(corrected, result.frame, context);
+    return result.calibration;
+  });
+  return {std::move(corrected), by_fields(found)};
 }
 
 /// Getter of a raster of a state. The array shares the state's memory.
@@ -122,6 +147,8 @@ void bind_polarization(py::module_& module) {
     result["improvement"] = fit.improvement();
     return result;
   });
+
+  module.def("calibrate_with_surface", &calibrated_with_surface);
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
       .def_readonly("label", &ReflectionMap::label)

@@ -32,6 +32,7 @@ __all__ = [
     "ReflectionMap",
     "brewster_angle",
     "calibrate",
+    "calibrate_with_surface",
     "decompose",
     "diffuse_degree",
     "diffuse_zenith",
@@ -68,6 +69,51 @@ def calibrate(
         full_well_e,
         read_noise_e,
         frames_averaged,
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def calibrate_with_surface(
+    state: PolarizationState,
+    normals: ArrayLike,
+    *,
+    camera: Camera | None = None,
+    light: ArrayLike | None = None,
+    known_scale: bool = True,
+    reflection: str = "auto",
+    refractive_index: float = 1.5,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> tuple[PolarizationState, dict[str, Any]]:
+    """Zero of the polarizer's scale, which images alone do not determine, by the azimuths of a surface (docs/method.md, section 1).
+
+    normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. light: 3, camera frame, towards the
+    source, as `malus.height.light` finds it, if there is a highlight. known_scale False: zero and direction are not known at all.
+    reflection: "auto", "diffuse" or "specular". Returns the state, corrected where the option polarizer.calibrate_angles allows and the
+    zero is significantly off, and figures: `from_surface` (whether it is corrected), `surface_check`, `angles_deg` and
+    `angles_sigma_deg` of the state's distinct angles, `zero_error_deg` (to be added to angles as read), `zero_error_sigma_deg`,
+    `coherence`, `coherence_opposite`, `warnings` and others.
+
+    Raises ValueError for wrong shapes; malus.InputError if the scale certainly counts the other way or is off by 90°; malus.DataError if
+    the scale is not known and the surface does not determine it.
+    """
+    surface = as_image(normals, "normals", 3)
+    if surface.shape[:2] != state.unpolarized.shape:
+        raise ValueError(f"normals has shape {surface.shape}, expected {(*state.unpolarized.shape, 3)} as the state")
+    direction = None
+    if light is not None:
+        direction = _plain(light, "light")
+        if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
+            raise ValueError(f"light is {direction.tolist()}, expected three numbers that are not all zero")
+    return _core.calibrate_with_surface(
+        state,
+        camera,
+        surface,
+        direction,
+        known_scale,
+        reflection,
+        refractive_index,
         (options or Options()).to_json(),
         threads,
     )
