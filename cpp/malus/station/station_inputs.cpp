@@ -3,6 +3,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/station_inputs_internal.h"
 
 namespace malus {
@@ -169,6 +170,7 @@ Json StationInputs::regions() {
   Json json = {{"patches", fields_to_json(station_.file.patches)},
                {"profiles", fields_to_json(station_.file.profiles)}};
   if (!station_.file.control.empty()) json["control"] = fields_to_json(station_.file.control);
+  if (const Json scale = scale_json(station_.file); !scale.is_null()) json["scale"] = scale;
   return json;
 }
 

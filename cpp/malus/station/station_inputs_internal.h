@@ -44,8 +44,8 @@ class StationInputs {
   /// Lens and pose.
   Json camera();
   Json prior();
-  /// [[patch]], [[profile]] and [[control]], whose figures are in quality.json. Warnings about them are not part of a
-  /// step: every run gives them again.
+  /// [[patch]], [[profile]], [[control]] and the [[scale]] of a given prior, whose figures are in quality.json.
+  /// Warnings about them are not part of a step: every run gives them again.
   Json regions();
   /// The reference scan, and the photogrammetry's figures.
   Json comparison();

@@ -160,6 +160,16 @@ TEST_F(StationInputsTest, NamesOfControlPointsChangeOnlyTheValuesOfRegions) {
   EXPECT_NE(json(&StationInputs::regions), regions);
 }
 
+TEST_F(StationInputsTest, KnownDistancesOfAPriorChangeTheValuesOfRegions) {
+  const Json without = json(&StationInputs::regions);
+  station_.file.scale_bars.emplace_back().distance = 10;
+  station_.file.scale_errors = {0.01};
+  const Json with = json(&StationInputs::regions);
+  EXPECT_NE(with, without);
+  station_.file.scale_errors = {0.02};
+  EXPECT_NE(json(&StationInputs::regions), with);
+}
+
 TEST_F(StationInputsTest, ReferenceAndPhotogrammetryChangeTheValuesOfTheComparison) {
   const Json before = json(&StationInputs::comparison);
   reference_ = folder_ / "cloud.ply";
