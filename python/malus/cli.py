@@ -460,8 +460,6 @@ def _reconstruct(
             reference = registration.register_reference(args.output, reference)
             view.progress("register", 1.0, str(reference))
         reconstruct(until)
-        if until == "height":
-            _warn_of_height(view, args.output)
         if args.m3c2 and reference is not None:
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, reference)
@@ -481,15 +479,6 @@ def _reconstruct(
         _print_files(args.output, until)
     if confidence is not None:
         _print_summary(args.output, *confidence, quiet=args.quiet)
-
-
-def _warn_of_height(view: ProgressView, work: Path) -> None:
-    """Warn if the height that was asked for could not be computed, or was still changing at the end."""
-    status = malus.Workspace(work).manifest["steps"]["height"]["notes"]["status"]
-    if status == "iteration limit":
-        view.log("warning", "the height was still changing at the end; with a larger height.iterations it goes on")
-    elif status != "converged":
-        view.log("warning", f"there is no height from polarization, height/height.tif is empty: {status}")
 
 
 def _pixel(text: str) -> tuple[int, int]:
