@@ -114,10 +114,10 @@ def as_triangles(values: ArrayLike, count: int) -> NDArray[np.uint32]:
     array = as_numbers(values, "triangles")
     if array.dtype.kind == "f" and (np.floor(array) != array).any():
         raise ValueError("triangles has fractions, expected whole numbers: indices of the vertices")
-    indices = as_rows(array, "triangles", dtype=np.int64)
+    indices = as_rows(array, "triangles", dtype=array.dtype.type)
     if indices.size and not (indices.min() >= 0 and indices.max() < count):
         raise ValueError(f"triangles has indices from {indices.min()} to {indices.max()}, expected 0 to {count - 1}")
-    return indices.astype(np.uint32)
+    return indices.astype(np.uint32, copy=False)
 
 
 def as_labels(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
