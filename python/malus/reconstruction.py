@@ -107,7 +107,7 @@ def reconstruct(
         if cameras is not None or _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
                 log = log or (lambda _, __: None)
-                core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
+                core = _with_photos(_described(station), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
     if workspace is not None and log is not None:
         for told in _core.overtaken_exports(str(workspace)):
@@ -145,6 +145,12 @@ def unpolarized_scene(
         core, options.to_json(), threads, workspace=str(workspace), replace=True, until="polarization"
     )
     return np.asarray(outcome["scene"], np.float32), np.asarray(outcome["valid"], np.uint8)
+
+
+def _described(station: Station) -> dict[str, Any]:
+    """The station's description, whose `path` names it in messages even if it is made of arrays."""
+    description = station.describe()
+    return {"path": f"station {description['name']}", **description}
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
@@ -289,11 +295,14 @@ def expected_times(
     cameras_known: as in `check`. Only the images' size and the mask are read; raises the errors that a run raises for these.
     """
     settings = options or Options()
-    description = station.describe()
+    description = _described(station)
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
-    width, height = size or _core.image_size(str(first)) if first is not None else (0, 0)
+    if first is None:  # arrays, whose size is that of their camera
+        width, height = description["camera"]["width"], description["camera"]["height"]
+    else:
+        width, height = size or _core.image_size(str(first))
     if _needs_photos(station, until):
         planned = photogrammetry.plan(description, settings, threads, 1e-6 * width * height)
         # The second sweep needs a surface fused with the first one: all steps after polarization run once in between.
@@ -353,7 +362,7 @@ def check(
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
     if _needs_photos(station, None):
-        planned = photogrammetry.plan(station.describe(), settings, threads, 1e-6 * plan["width"] * plan["height"])
+        planned = photogrammetry.plan(_described(station), settings, threads, 1e-6 * plan["width"] * plan["height"])
         # Listed after the polarization step, whose image is oriented among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings

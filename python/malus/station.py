@@ -91,12 +91,45 @@ class PatchValues(TypedDict, total=False):
 ProfileValues = TypedDict("ProfileValues", {"name": str, "from": Sequence[float], "to": Sequence[float]}, total=False)
 
 
+class MarkValues(TypedDict):
+    """A mark in a photo, in pixels; the center of the first one is at (0, 0)."""
+
+    image: str
+    x: float
+    y: float
+
+
+class PhotosValues(TypedDict, total=False):
+    """[photos]: the folder of the photos that give camera and prior; `camera` has the keys of a lens in a station file."""
+
+    folder: Required[str | Path]
+    exclude: Sequence[str]
+    masks: str | Path
+    camera: Mapping[str, Any]
+
+
 class ScaleValues(TypedDict, total=False):
-    """[[scale]]: a known distance between two points of the prior's frame."""
+    """[[scale]]: a known distance between two points of the prior's frame (a_xyz, b_xyz); with photos between two places that are
+    marked in them (a, b), or two coded targets.
+    """
 
     distance: Required[float]
-    a_xyz: Required[Sequence[float]]
-    b_xyz: Required[Sequence[float]]
+    a_xyz: Sequence[float]
+    b_xyz: Sequence[float]
+    a: Sequence[MarkValues]
+    b: Sequence[MarkValues]
+    targets: Sequence[int]
+    targets_dictionary: str
+    check: bool
+
+
+class ControlValues(TypedDict, total=False):
+    """[[control]]: a point of known coordinates, marked in photos, in the polarized images (`pixel`), or in both."""
+
+    name: str
+    xyz: Required[Sequence[float]]
+    pixel: Sequence[float]
+    marks: Sequence[MarkValues]
     check: bool
 
 
@@ -131,7 +164,9 @@ class Station:
         prior: PriorValues | None = None,
         patches: Sequence[PatchValues] = (),
         profiles: Sequence[ProfileValues] = (),
+        photos: PhotosValues | None = None,
         scale: Sequence[ScaleValues] = (),
+        control: Sequence[ControlValues] = (),
         object: Mapping[str, str] | None = None,
     ) -> None:
         """Build a station in code.
@@ -140,12 +175,12 @@ class Station:
         of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
-        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), or
-        `prior`, a file or a shape. The polarization maps and the height from them need no prior; everything else does.
+        without prior_normals (N×3, towards the camera), prior_depth (H×W z-depth of the undistorted view, NaN = none), `prior`, a
+        file or a shape, or `photos`, which give the camera's pose, too. Polarization maps, and the height from them, need no prior.
         prior_sigma: standard deviation of the points or the depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
 
-        The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels,
-        exposures, channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale` and `object` (catalog entries).
+        The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
+        channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control`, `object` (catalog entries).
         Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
         malus.InputError, whose message names tables and keys as for a file.
         """
@@ -153,12 +188,9 @@ class Station:
         shape = stack[0].shape[:2]
         if shape != (camera.height, camera.width):
             raise ValueError(f"images are {shape[1]} x {shape[0]} pixels, camera is {camera.width} x {camera.height}")
-        if sum(given is not None for given in (prior_points, prior_depth, prior)) > 1:
-            raise ValueError("prior_points, prior_depth and prior: more than one is given, expected one of them")
+        if sum(given is not None for given in (prior_points, prior_depth, prior, photos)) > 1:
+            raise ValueError("prior_points, prior_depth, prior, photos: more than one is given, expected one of them")
         points, normals = _oriented_points(prior_points, prior_normals)
-        depth = None if prior_depth is None else as_image(prior_depth, "prior_depth")
-        if depth is not None and depth.shape != shape:
-            raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
             "station": {"name": name, "unit": unit},
@@ -170,9 +202,11 @@ class Station:
             },
             "object": object,
             "prior": prior if prior_sigma is None else {**(prior or {}), "sigma": prior_sigma},
+            "photos": None if photos is None else _with_absolute_folders(photos),
             "patch": patches,
             "profile": profiles,
             "scale": scale,
+            "control": control,
         }
         has_white = (polarized or {}).get("white_level") is not None
         self._core = _core.Station.from_arrays(
@@ -182,7 +216,7 @@ class Station:
             tables=json.dumps(_plain(tables, "station: ")),
             prior_points=points,
             prior_normals=normals,
-            prior_depth=depth,
+            prior_depth=_depth(prior_depth, shape),
             mask=as_mask(mask, shape),
         )
         if not has_white:
@@ -252,6 +286,19 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     if angles.shape != (count,):
         raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles
+
+
+def _depth(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
+    depth = None if values is None else as_image(values, "prior_depth")
+    if depth is not None and depth.shape != shape:
+        raise ValueError(f"prior_depth has shape {depth.shape}, expected {shape}")
+    return depth
+
+
+def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:
+    """The table with absolute paths: COLMAP is started in another folder."""
+    values: dict[str, Any] = dict(photos)
+    return values | {key: os.path.abspath(values[key]) for key in ("folder", "masks") if key in values}
 
 
 def _oriented_points(

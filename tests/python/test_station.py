@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -225,6 +227,42 @@ def test_known_distances_scale_a_prior_in_memory(pictures: list[np.ndarray]) -> 
     station = in_memory(pictures, prior_points=points, scale=[bar])
     found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
     assert np.nanmedian(found.prior_depth) == pytest.approx(200, rel=1e-3)
+
+
+def test_photos_give_camera_and_prior_of_a_station_in_memory(
+    pictures: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only a station of a file could have photos and control points."""
+    (tmp_path / "views").mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(pictures[0]).save(tmp_path / "views" / name)
+    depth = np.full(SIZE, 200, np.float32)
+    described: list[dict[str, Any]] = []
+
+    def find(description: dict[str, Any], *_: object, **__: object) -> SimpleNamespace:
+        described.append(description)
+        camera = dataclasses.replace(CAMERA, translation=[0.0, 0.0, 50.0])
+        return SimpleNamespace(station=camera, figures={}, times={}, warnings=["few photos"])
+
+    def sweep(*_: object, **__: object) -> malus.photogrammetry.Swept:
+        return malus.photogrammetry.Swept(depth, np.full_like(depth, 0.5), None, {}, {})
+
+    monkeypatch.setattr(malus.photogrammetry, "find_cameras", find)
+    monkeypatch.setattr(malus.photogrammetry, "sweep_station", sweep)
+    marks = [{"image": "a.png", "x": 1, "y": 2.5}, {"image": "b.png", "x": 3, "y": 4}]
+    point = {"name": "A", "xyz": [1, 2, 3], "marks": marks, "pixel": [4, 5]}
+    station = in_memory(pictures, photos={"folder": "views"}, control=[point])
+    found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
+    np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-3)
+    assert found.camera is not None and found.camera.pose()[1][2] == 50
+    assert "photos: few photos" in found.warnings
+    assert described[0]["photos"]["folder"] == str(tmp_path / "views") and described[0]["path"] == "station words"
+    assert described[0]["control"][0]["marks"][1] == {"image": "b.png", "x": 3, "y": 4}
+
+    scaled = in_memory(pictures, photos={"folder": "views"}, scale=[{"distance": 3, "a": marks, "b": marks}])
+    assert scaled.describe()["scale"][0]["a"][0]["y"] == 2.5
+    with pytest.raises(malus.InputError, match=r"\[photos\].folder.*expected an existing folder"):
+        in_memory(pictures, photos={"folder": "none"})
 
 
 def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:

@@ -19,7 +19,7 @@ struct GivenInMemory {
 };
 
 /// As read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative paths start
-/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask, camera or photos.
+/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask or camera.
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given);
 
 }  // namespace malus
