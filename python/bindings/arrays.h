@@ -4,6 +4,7 @@
 
 #include <cstring>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -25,6 +26,18 @@ Image<T> to_image(const Array<T>& array) {
   Image<T> image({static_cast<int>(array.shape(1)), static_cast<int>(array.shape(0))}, channels);
   std::memcpy(image.data(), array.data(), image.count() * sizeof(T));
   return image;
+}
+
+/// Throws a value error that names an array and both shapes unless it is H×W or H×W×channels of this size.
+template <class T>
+void require_shape(const Image<T>& image, Size size, int channels, const std::string& name) {
+  if (image.size() == size && image.channels() == channels) return;
+  const auto shape = [](Size of, int count) {
+    return "(" + std::to_string(of.height) + ", " + std::to_string(of.width) +
+           (count == 1 ? "" : ", " + std::to_string(count)) + ")";
+  };
+  throw py::value_error(name + " has shape " + shape(image.size(), image.channels()) + ", expected " +
+                        shape(size, channels));
 }
 
 /// A numpy array, H×W or H×W×C, that shares the image's memory; None for an empty image. The array keeps the image

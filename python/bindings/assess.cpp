@@ -24,8 +24,10 @@ void bind_assess(py::module_& module) {
   module.def("section",
              [](const std::array<double, 2>& from, const std::array<double, 2>& to, const Image<float>& surface,
                 const std::optional<Image<float>>& prior, const RasterView& view, double gsd, const Options& options) {
-               const ProfileFigures profile = section({"profile", from, to}, prior.value_or(Image<float>()), {},
-                                                      surface, view.camera, gsd, options.assess, {});
+               const Image<float> before = prior.value_or(Image<float>());
+               const ProfileFigures profile = computed(1, [&](const Context& context) {
+                 return section({"profile", from, to}, before, {}, surface, view.camera, gsd, options.assess, context);
+               });
                py::dict result;
                result["status"] = enum_name(profile.status);
                result["position"] = profile.position;
@@ -76,7 +78,9 @@ void bind_assess(py::module_& module) {
   module.def(
       "fit_patch",
       [](const Image<float>& depth, const RasterView& view, int x0, int y0, int x1, int y1, double gsd) -> py::object {
-        const auto fit = fit_patch(depth, view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, {});
+        const std::optional<PatchFit> fit = computed(1, [&](const Context& context) {
+          return fit_patch(depth, view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, context);
+        });
         if (!fit) return py::none();
         py::dict result;
         result["count"] = fit->count;

@@ -26,20 +26,19 @@ py::object register_arrays(const std::vector<Image<float>>& images, const Option
 }  // namespace
 
 void bind_capture(py::module_& module) {
-  module.def(
-      "linearize",
-      [](Image<float>& image, const std::string& response, double black, double white) {
-        RawImage raw{std::move(image), 32, true, white};
-        PolarizedSpec spec;
-        spec.black_level = black;
-        spec.white_level = white;
-        const ResponseCurve curve = response_curve(response, "response");
-        const Levels levels = levels_of(raw, spec, curve, 1, "image");
-        return raw.pixels.channels() == 3
-                   ? linearize_color(raw, curve, levels, {})
-                   : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", {}).intensity;
-      },
-      WithoutGil());
+  module.def("linearize", [](Image<float>& image, const std::string& response, double black, double white) {
+    RawImage raw{std::move(image), 32, true, white};
+    PolarizedSpec spec;
+    spec.black_level = black;
+    spec.white_level = white;
+    const ResponseCurve curve = response_curve(response, "response");
+    const Levels levels = levels_of(raw, spec, curve, 1, "image");
+    return computed(1, [&](const Context& context) {
+      return raw.pixels.channels() == 3
+                 ? linearize_color(raw, curve, levels, context)
+                 : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", context).intensity;
+    });
+  });
   module.def("undistort", [](const Image<float>& image, const CameraValues& values, int threads) {
     const LensCamera lens = to_camera(values, "camera").first;
     require_size(image, lens.size, "image");

@@ -78,7 +78,8 @@ void bind_evidence(py::module_& module) {
              });
 
   module.def("check_size", [](const Array<double>& points_in_cam, const RasterView& view, const std::string& unit) {
-    return to_dict(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
+    const PointCloud cloud = to_cloud(points_in_cam);
+    return to_dict(computed(1, [&](const Context&) { return object_size(cloud.points, view.camera, unit); }).finding);
   });
 
   module.def("check_order", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,

@@ -9,6 +9,7 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
+#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {
@@ -30,6 +31,9 @@ FusedSurface assessed(FusedSurface surface, const DepthPrior& prior, const Polar
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
       .def(py::init([](Image<float>& depth, Image<float>& normals, Image<float>& sigma, const RasterView& view) {
+        require_shape(depth, view.camera.size, 1, "depth");
+        require_shape(normals, view.camera.size, 3, "normals");
+        require_shape(sigma, view.camera.size, 1, "sigma");
         FusedSurface surface;
         surface.depth = std::move(depth);
         surface.normals = std::move(normals);

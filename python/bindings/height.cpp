@@ -48,19 +48,23 @@ void bind_height(py::module_& module) {
                                      context);
     }));
   });
-  module.def("solve_height", [](const PolarizationState& state, const ReflectionMap& reflection,
-                                const std::optional<RasterView>& view, const std::optional<Eigen::Vector4d>& light,
-                                const std::optional<Image<float>>& normals, const Options& options, int threads) {
-    return computed(threads, [&](const Context& context) {
-      return solve_height({.polarization = state,
-                           .reflection = reflection,
-                           .camera = view ? &view->camera : nullptr,
-                           .light = light,
-                           .prior_normals = normals ? &*normals : nullptr,
-                           .prior_height = nullptr},
-                          options.height, options.light, context);
-    });
-  });
+  module.def("solve_height",
+             [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<RasterView>& view,
+                const std::optional<Eigen::Vector4d>& light, const std::optional<Image<float>>& normals,
+                const std::optional<Image<float>>& depth, const Options& options, int threads) {
+               if (depth && !view) throw input_error("prior_depth needs the camera in whose view it is");
+               return computed(threads, [&](const Context& context) {
+                 Image<float> prior_height;
+                 if (depth) prior_height = height_from_depth(*depth, view->camera, options.height.perspective, context);
+                 return solve_height({.polarization = state,
+                                      .reflection = reflection,
+                                      .camera = view ? &view->camera : nullptr,
+                                      .light = light,
+                                      .prior_normals = normals ? &*normals : nullptr,
+                                      .prior_height = depth ? &prior_height : nullptr},
+                                     options.height, options.light, context);
+               });
+             });
 }
 
 }  // namespace malus::python

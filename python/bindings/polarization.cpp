@@ -1,11 +1,17 @@
+#include <pybind11/eigen.h>
 #include <pybind11/stl.h>
+
+#include <utility>
+#include <vector>
 
 #include "arrays.h"
 #include "bindings.h"
 #include "cameras.h"
 #include "interruptible.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/decompose_internal.h"
+#include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/fresnel.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/reflection_internal.h"
@@ -37,8 +43,51 @@ void bind_decompose(py::module_& module, const char* name) {
 }
 
 double accepted(double eta) {
-  static const std::string name = "refractive_index";  // once, not for every element of an array
-  return accepted_refractive_index(eta, name);
+  return accepted_refractive_index(eta, "refractive_index");
+}
+
+/// function(x) of every element of an array of any shape, as an array of this shape; a number if there are no axes.
+template <class Function>
+py::object of_each_element(const Array<double>& values, const Function& function) {
+  py::array_t<double> results(std::vector<py::ssize_t>(values.shape(), values.shape() + values.ndim()));
+  const double* const from = values.data();
+  double* const to = results.mutable_data();
+  const auto count = static_cast<std::size_t>(values.size());
+  const auto compute = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) to[i] = function(from[i]);
+  };
+  constexpr std::size_t at_once = 1 << 16;  // takes a few milliseconds, less than a thread is worth
+  if (count <= at_once) {
+    compute(0, count);
+  } else {
+    run_interruptible(1, py::none(), py::none(),
+                      [&](const Context& context) { parallel_for(context, count, at_once, compute); });
+  }
+  if (values.ndim() == 0) return py::float_(*to);
+  return results;
+}
+
+/// The state, corrected if a surface's azimuths contradict the zero of the polarizer's scale, and the figures of that.
+std::pair<PolarizationState, py::object> calibrated_with_surface(
+    const PolarizationState& state, const std::optional<RasterView>& view, const Image<float>& normals,
+    const std::optional<Eigen::Vector3d>& light, bool known_scale, const std::string& reflection,
+    double refractive_index, const Options& options, int threads) {
+  FrameHints hints;
+  hints.known_scale = known_scale;
+  const ReflectionChoice choice = reflection_choice(reflection, false);
+  if (choice != ReflectionChoice::automatic) hints.specular = choice == ReflectionChoice::specular;
+  hints.refractive_index = accepted(refractive_index);
+  hints.light = light;
+  PolarizationState corrected = state;
+  const PolarizerCalibration found = computed(threads, [&](const Context& context) {
+    const PolarizerFit given = polarizer_as_given(state.angles_rad, options.polarizer);
+    const FrameEstimate surface =
+        estimate_frame(state, view ? &view->camera : nullptr, normals, hints, options.polarizer, context);
+    CalibratedFrame result = calibrate_frame(given, false, known_scale, surface, options.polarizer);
+    if (result.calibration.from_surface) apply_frame(corrected, result.frame, context);
+    return result.calibration;
+  });
+  return {std::move(corrected), by_fields(found)};
 }
 
 /// Getter of a raster of a state. The array shares the state's memory.
@@ -50,16 +99,24 @@ auto raster(Image<T> PolarizationState::*member) {
 }  // namespace
 
 void bind_polarization(py::module_& module) {
-  module.def("diffuse_degree",
-             py::vectorize([](double zenith, double eta) { return diffuse_degree(zenith, accepted(eta)); }));
-  module.def("specular_degree",
-             py::vectorize([](double zenith, double eta) { return specular_degree(zenith, accepted(eta)); }));
-  module.def("diffuse_zenith",
-             py::vectorize([](double degree, double eta) { return diffuse_zenith(degree, accepted(eta)).zenith_rad; }));
-  module.def("specular_zenith", py::vectorize([](double degree, double eta, bool above_brewster) {
-               const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
-               return specular_zenith(degree, accepted(eta), branch).zenith_rad;
-             }));
+  module.def("diffuse_degree", [](const Array<double>& zeniths, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(zeniths, [eta](double zenith) { return diffuse_degree(zenith, eta); });
+  });
+  module.def("specular_degree", [](const Array<double>& zeniths, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(zeniths, [eta](double zenith) { return specular_degree(zenith, eta); });
+  });
+  module.def("diffuse_zenith", [](const Array<double>& degrees, double refractive_index) {
+    const double eta = accepted(refractive_index);
+    return of_each_element(degrees, [eta](double degree) { return diffuse_zenith(degree, eta).zenith_rad; });
+  });
+  module.def("specular_zenith", [](const Array<double>& degrees, double refractive_index, bool above_brewster) {
+    const double eta = accepted(refractive_index);
+    const auto branch = above_brewster ? SpecularBranch::above_brewster : SpecularBranch::below_brewster;
+    return of_each_element(degrees,
+                           [eta, branch](double degree) { return specular_zenith(degree, eta, branch).zenith_rad; });
+  });
   module.def("brewster_angle", [](double eta) { return brewster_angle(accepted(eta)); });
 
   py::class_<PolarizationState>(module, "PolarizationState")
@@ -89,6 +146,8 @@ void bind_polarization(py::module_& module) {
     result["improvement"] = fit.improvement();
     return result;
   });
+
+  module.def("calibrate_with_surface", &calibrated_with_surface);
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
       .def_readonly("label", &ReflectionMap::label)

@@ -28,6 +28,8 @@ DepthPrior project(const Source& source, const RasterView& view, const std::opti
 void bind_prior(py::module_& module) {
   py::class_<DepthPrior>(module, "DepthPrior")
       .def(py::init([](Image<float>& depth, Image<float>& sigma, const RasterView& view) {
+        require_shape(depth, view.camera.size, 1, "depth");
+        require_shape(sigma, view.camera.size, 1, "sigma");
         DepthPrior prior;
         prior.depth = std::move(depth);
         prior.sigma = std::move(sigma);

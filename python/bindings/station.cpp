@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <tuple>
+#include <utility>
 
 #include "arrays.h"
 #include "bindings.h"
@@ -92,6 +93,7 @@ Station with_cloud(Station station, const Array<double>& points, const std::opti
 Station with_developed(Station station, const std::vector<std::string>& images, std::optional<double> full_well_e,
                        std::optional<double> read_noise_e) {
   PolarizedSpec& spec = station.file.polarized;
+  station.developed_from = std::move(spec.images);
   spec.images.assign(images.begin(), images.end());
   if (!spec.full_well_e && !spec.read_noise_e) {
     spec.full_well_e = full_well_e;
@@ -260,18 +262,18 @@ void bind_workspace(py::module_& module) {
 }
 
 void bind_check(py::module_& module) {
-  module.def("expected_times",
-             [](const Station& station, const Options& options, const std::optional<std::string>& until,
-                const std::optional<std::pair<int, int>>& width_height, int threads) {
-               std::optional<Size> size;
-               if (width_height) size = Size{width_height->first, width_height->second};
-               Context context;
-               context.threads = threads;
-               py::list times;
-               for (const ExpectedTime& time : expected_times(station, options, {until, size}, context))
-                 times.append(py::make_tuple(time.step, time.seconds));
-               return times;
-             });
+  module.def(
+      "expected_times", [](const Station& station, const Options& options, const std::optional<std::string>& until,
+                           const std::optional<std::pair<int, int>>& width_height, int threads) {
+        std::optional<Size> size;
+        if (width_height) size = Size{width_height->first, width_height->second};
+        // It reads the mask, and of the images the size.
+        const std::vector<ExpectedTime> found = computed(
+            threads, [&](const Context& context) { return expected_times(station, options, {until, size}, context); });
+        py::list times;
+        for (const ExpectedTime& time : found) times.append(py::make_tuple(time.step, time.seconds));
+        return times;
+      });
 
   module.def("check", [](const Station& station, const Options& options, int threads) {
     return computed(threads,

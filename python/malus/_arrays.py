@@ -18,14 +18,23 @@ def unmasked(values: ArrayLike, name: str) -> NDArray[Any]:
         raise ValueError(
             f"{name} has masked values, expected an array without a mask, such as array.astype(float).filled(numpy.nan)"
         )
-    return np.asarray(values)
+    try:
+        return np.asarray(values)
+    except ValueError:  # lists of different lengths
+        raise ValueError(f"{name} has parts of different lengths, expected an array") from None
+
+
+def as_numbers(values: ArrayLike, name: str) -> NDArray[Any]:
+    """The values as an array of whole or real numbers of any shape; ValueError names the argument and its type."""
+    array = unmasked(values, name)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} has type {array.dtype}, expected numbers")
+    return array
 
 
 def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.float32) -> NDArray[Any]:
     """The values as an H×W (or H×W×channels) array of `dtype`, C-contiguous; ValueError names the argument, its shape and the expected shape."""
-    array = unmasked(values, name)
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} has type {array.dtype}, expected numbers")
+    array = as_numbers(values, name)
     expected = "(H, W)" if channels == 1 else f"(H, W, {channels})"
     right = array.ndim == 2 if channels == 1 else array.ndim == 3 and array.shape[2] == channels
     if not right or array.size == 0:
@@ -38,7 +47,9 @@ def as_images(
 ) -> list[NDArray[Any]]:
     """K images of one size, float32. keep_16_bit: if all are uint16, they stay uint16. color: H×W×3 is allowed, too."""
     # Of any byte order: big-endian files are often read as they are.
-    sixteen = keep_16_bit and all(np.asarray(value).dtype.newbyteorder("=") == np.uint16 for value in values)
+    sixteen = keep_16_bit and all(
+        unmasked(value, f"{name}[{k}]").dtype.newbyteorder("=") == np.uint16 for k, value in enumerate(values)
+    )
     dtype = np.uint16 if sixteen else np.float32
     images = [
         as_image(value, f"{name}[{k}]", 3 if color and np.ndim(value) == 3 else 1, dtype)
@@ -75,9 +86,13 @@ def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDA
     return [np.asarray(image if image.dtype == np.float32 else image / 65535, np.float32) for image in images]
 
 
-def as_angles(values: Sequence[float], name: str) -> list[float]:
-    """Angles in radians; ValueError for values that look like degrees."""
-    angles = [float(value) for value in values]
+def as_angles(values: ArrayLike, name: str, count: int | None = None) -> list[float]:
+    """Angles in radians; ValueError for another shape, if a given `count` is not their number, and for values that look like degrees."""
+    array = as_numbers(values, name)
+    if array.ndim != 1 or (count is not None and len(array) != count):
+        expected = "(K,)" if count is None else f"({count},): one angle per image"
+        raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
+    angles = [float(value) for value in array]
     for k, angle in enumerate(angles):
         if abs(angle) > 2 * np.pi:
             raise ValueError(f"{name}[{k}] = {angle:g} is beyond 2 pi and so looks like degrees, expected radians")
@@ -86,7 +101,7 @@ def as_angles(values: Sequence[float], name: str) -> list[float]:
 
 def as_zeniths(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Zeniths in radians, of any shape, float64; ValueError for values that look like degrees."""
-    angles = np.asarray(unmasked(values, name), dtype=np.float64)
+    angles = np.asarray(as_numbers(values, name), dtype=np.float64)
     if (np.abs(angles) > 2 * np.pi).any():
         raise ValueError(f"{name} reaches {np.nanmax(np.abs(angles)):g}, which looks like degrees, expected radians")
     return angles
@@ -96,18 +111,21 @@ def as_rows(
     values: ArrayLike, name: str, count: int | None = None, dtype: type[np.generic] = np.float64
 ) -> NDArray[Any]:
     """The values as an N×3 array of `dtype`, C-contiguous; ValueError for masked values, another shape, or if a given `count` is not N."""
-    array = np.ascontiguousarray(unmasked(values, name), dtype=dtype)
+    array = as_numbers(values, name)
     if array.ndim != 2 or array.shape[1] != 3 or (count is not None and len(array) != count):
         raise ValueError(f"{name} has shape {array.shape}, expected ({'N' if count is None else count}, 3)")
-    return array
+    return np.ascontiguousarray(array, dtype=dtype)
 
 
 def as_triangles(values: ArrayLike, name: str, vertices: int) -> NDArray[np.uint32]:
-    """The values as an M×3 array of indices of `vertices` vertices; ValueError for another shape and for indices of no vertex."""
-    faces = as_rows(values, name, dtype=np.int64)
-    if faces.size and not (faces.min() >= 0 and faces.max() < vertices):
-        raise ValueError(f"{name} has indices from {faces.min()} to {faces.max()}, expected 0 to {vertices - 1}")
-    return faces.astype(np.uint32)
+    """M×3 indices of `vertices` vertices; ValueError for another shape, for fractions, and for indices of no vertex."""
+    array = as_numbers(values, name)
+    if array.dtype.kind == "f" and (np.floor(array) != array).any():
+        raise ValueError(f"{name} has fractions, expected whole numbers: indices of the vertices")
+    indices = as_rows(array, name, dtype=array.dtype.type)
+    if indices.size and not (indices.min() >= 0 and indices.max() < vertices):
+        raise ValueError(f"{name} has indices from {indices.min()} to {indices.max()}, expected 0 to {vertices - 1}")
+    return indices.astype(np.uint32, copy=False)
 
 
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
@@ -125,6 +143,8 @@ def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint
     if values is None:
         return None
     array = unmasked(values, "mask")
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"mask has type {array.dtype}, expected numbers, or true and false")
     if array.shape != shape:
         raise ValueError(f"mask has shape {array.shape}, expected {shape}")
     return np.where((array != 0) & (array == array), np.uint8(255), np.uint8(0))  # NaN differs from itself

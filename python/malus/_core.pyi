@@ -388,9 +388,21 @@ def solve_height(
     camera: Camera | None,
     light: _Float64 | None,
     normals: _Float32 | None,
+    depth: _Float32 | None,
     options: str,
     threads: int,
 ) -> HeightMap: ...
+def calibrate_with_surface(
+    state: PolarizationState,
+    camera: Camera | None,
+    normals: _Float32,
+    light: _Float64 | None,
+    known_scale: bool,
+    reflection: str,
+    refractive_index: float,
+    options: str,
+    threads: int,
+) -> tuple[PolarizationState, dict[str, Any]]: ...
 def fuse_grid(height: HeightMap, prior: DepthPrior, options: str, threads: int) -> FusedSurface: ...
 def optimize_grid(
     surface: FusedSurface,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_rows
+from malus._arrays import as_numbers, as_rows
 
 
 @dataclass
@@ -44,8 +44,8 @@ class Camera:
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3×3) and translation (3) as float64, checked."""
-        rotation = np.asarray(self.rotation, dtype=np.float64)
-        translation = np.asarray(self.translation, dtype=np.float64)
+        rotation = np.asarray(as_numbers(self.rotation, "rotation"), dtype=np.float64)
+        translation = np.asarray(as_numbers(self.translation, "translation"), dtype=np.float64)
         if rotation.shape != (3, 3):
             raise ValueError(f"rotation has shape {rotation.shape}, expected (3, 3)")
         if translation.shape != (3,):
@@ -91,7 +91,7 @@ class Camera:
         Bartoli 2014), then least squares.
         """
         known = as_rows(points, "points")
-        marks = np.asarray(pixels, dtype=np.float64)
+        marks = np.asarray(as_numbers(pixels, "pixels"), dtype=np.float64)
         if marks.shape != (len(known), 2):
             raise ValueError(f"pixels has shape {marks.shape}, expected ({len(known)}, 2) as points")
         found = _core.resect([str(index) for index in range(len(known))], known.T, marks.T, self.values())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_shares, require_noise, unmasked
+from malus._arrays import as_image, as_numbers, as_shares, require_noise
 from malus.camera import Camera
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -55,8 +55,8 @@ def linearize(
 
     response: "linear", "srgb", "gamma:X", or the path of a lookup table (docs/station-file.md).
     """
-    pixels = np.ascontiguousarray(unmasked(image, "image"), dtype=np.float32)
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3):
+    pixels = np.ascontiguousarray(as_numbers(image, "image"), dtype=np.float32)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
         raise ValueError(f"image has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
     return _core.linearize(pixels, response, float(black_level), float(white_level))
 

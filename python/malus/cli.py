@@ -13,14 +13,14 @@ import signal
 import sys
 import textwrap
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, Protocol, TextIO, TypeAlias
 
 import malus
 from malus import _core, batch, m3c2, registration, scans, studio
-from malus._files import require_utf8
+from malus._files import require_utf8, resolved
 from malus.campaign import Campaign, kinds_of, require_kind
 from malus.change import change_summary
 from malus.chart import measure_chart
@@ -237,7 +237,10 @@ def _add_runs(add: _Add) -> None:
 
 def _add_uses_of_a_workspace(add: _Add) -> None:
     report = add("report", "rebuild the report of a workspace", station=False, work=False)
-    report.add_argument("work", type=Path, metavar="WORK")
+    report.add_argument("work", type=Path, metavar="WORK", help="workspace folder; or, with -o, the station file")
+    report.add_argument(
+        "-o", "--output", type=Path, metavar="WORK", help="workspace folder of the station, as for the other steps"
+    )
     view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
     view.add_argument("work", type=Path, metavar="WORK")
     export = add("export", "write the surface of a workspace for another program", station=False, work=False)
@@ -455,8 +458,6 @@ def _reconstruct(
             reference = registration.register_reference(args.output, reference)
             view.progress("register", 1.0, str(reference))
         reconstruct(until)
-        if until == "height":
-            _warn_of_height(view, args.output)
         if args.m3c2 and reference is not None:
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, reference)
@@ -483,15 +484,6 @@ def _as_ply(scan: Path, station: malus.Station, args: argparse.Namespace) -> Pat
     cloud = scans.read_scan(scan, station.unit)
     _core.claim_workspace(str(args.output), station._core, args.replace)
     return scans.as_ply(*cloud, args.output / "reference")
-
-
-def _warn_of_height(view: ProgressView, work: Path) -> None:
-    """Warn if the height that was asked for could not be computed, or was still changing at the end."""
-    status = malus.Workspace(work).manifest["steps"]["height"]["notes"]["status"]
-    if status == "iteration limit":
-        view.log("warning", "the height was still changing at the end; with a larger height.iterations it goes on")
-    elif status != "converged":
-        view.log("warning", f"there is no height from polarization, height/height.tif is empty: {status}")
 
 
 def _pixel(text: str) -> tuple[int, int]:
@@ -602,6 +594,33 @@ def _print_plan(plan: dict[str, Any]) -> None:
         print(f"picture of {shown}: {picture}")
 
 
+def _work_to_report(args: argparse.Namespace) -> Path:
+    """The workspace of `malus report WORK`, or of `malus report STATION.toml -o WORK`; InputError if it is another station's."""
+    if args.output is None:
+        return Path(args.work)
+    require_kind(args.work, "station")
+    malus.Station.load(args.work)
+    belongs = malus.Workspace(args.output).manifest["station"]
+    files = [Path(belongs["file"]), args.output / belongs["file_from_here"]] if belongs["file"] else []
+    if resolved(args.work) not in map(resolved, files):
+        raise InputError(
+            f"-o {args.output}: belongs to station {belongs['name']!r} of {belongs['file'] or 'arrays'}, expected the workspace of "
+            f"{args.work}"
+        )
+    return Path(args.output)
+
+
+def _tell_written(args: argparse.Namespace, step: str, *paths: Path) -> None:
+    """Name what was written: a line each, or with --json an event each; nothing with --quiet."""
+    if args.json:
+        view = JsonProgress()
+        view.expect([(step, 1.0)])
+        for path in paths:
+            view.progress(step, 1.0, str(path))
+    elif not args.quiet:
+        print(*paths, sep="\n")
+
+
 def _object(args: argparse.Namespace) -> None:
     thing = Object.load(args.object)
     _options(args, thing.campaign.options)
@@ -620,22 +639,22 @@ def _object(args: argparse.Namespace) -> None:
             shard=shard,
             progress=view.progress,
         )
-        if args.json and not any(outcome["status"] == "pending" for outcome in outcomes):
-            for warning in _doubts_of_object(_figures_of_object(args.output / "object")):
+        pending = sum(outcome["status"] == "pending" for outcome in outcomes)
+        folder = args.output / "object"
+        quality = {} if pending else _figures_of_object(folder)
+        if args.json and quality:  # otherwise they are printed below
+            for warning in _doubts_of_object(quality):
                 view.log("warning", warning)
     failed = batch.failure(outcomes)
-    if not args.json:
-        _print_object(args.output / "object", outcomes, args.quiet)
+    if not args.json and pending:
+        print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
+    elif not args.json:
+        _print_object(folder, quality, args.quiet)
     if failed is not None:
         raise failed
 
 
-def _print_object(folder: Path, outcomes: Sequence[batch.Outcome], quiet: bool) -> None:
-    pending = sum(outcome["status"] == "pending" for outcome in outcomes)
-    if pending:
-        print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
-        return
-    quality = _figures_of_object(folder)
+def _print_object(folder: Path, quality: Mapping[str, Any], quiet: bool) -> None:
     if quiet:  # warnings are printed even so
         for line in _doubts_of_object(quality, "warning: "):
             print(line, file=sys.stderr)
@@ -731,11 +750,27 @@ def _paper(args: argparse.Namespace) -> None:
             raise InputError(
                 f"{', '.join(given)}: --campaign merges finished workspaces and takes no options of a run, expected them with STATION.toml"
             )
-        for path in malus.merge_campaign(args.campaign, args.output):
-            print(path)
+        _tell_written(args, "paper", *malus.merge_campaign(args.campaign, args.output))
         return
     args.preset = args.preset or "paper"
     _reconstruct(args, args.station)
+
+
+def _exported(args: argparse.Namespace) -> Path:
+    return malus.export(
+        args.work,
+        args.format,
+        args.output,
+        faces=args.faces,
+        interval=args.interval,
+        y_up=args.y_up,
+        albedo=args.albedo,
+        chart=args.chart,
+        url=args.url,
+        trim=args.trim,
+        fill=args.fill,
+        threads=args.threads,
+    )
 
 
 def _run(arguments: Sequence[str] | None) -> None:
@@ -780,29 +815,16 @@ def _run(arguments: Sequence[str] | None) -> None:
         args.threads = ALL_CORES
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
+    if args.command in ("report", "view", "export", "compare"):
+        _options(args)  # of steps that are done: they change nothing here, but a mistake in them is told
     if args.command == "check":
         _check(args)
     elif args.command == "report":
-        print(malus.write_report(args.work))
+        _tell_written(args, "report", malus.write_report(_work_to_report(args)))
     elif args.command == "view":
-        print(malus.open_report(args.work))
+        _tell_written(args, "view", malus.open_report(args.work))
     elif args.command == "export":
-        print(
-            malus.export(
-                args.work,
-                args.format,
-                args.output,
-                faces=args.faces,
-                interval=args.interval,
-                y_up=args.y_up,
-                albedo=args.albedo,
-                chart=args.chart,
-                url=args.url,
-                trim=args.trim,
-                fill=args.fill,
-                threads=args.threads,
-            )
-        )
+        _tell_written(args, "export", _exported(args))
     elif args.command == "compare":
         _compare(args)
     elif args.command == "batch":

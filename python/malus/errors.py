@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+
+#: Errors of the system about a path that somebody gave. All others mean that disk, memory or processes are lacking.
+_OF_PATHS = (
+    errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP,
+    errno.EROFS,
+)  # fmt: skip
+
 
 class MalusError(Exception):
     """Base of all errors raised by malus; `exit_code` is what the command line returns for it."""
@@ -39,6 +47,11 @@ def error_of(exit_code: int) -> type[MalusError]:
     return next((kind for kind in kinds if kind.exit_code == exit_code), DataError)
 
 
+def kind_of(error: OSError) -> type[MalusError]:
+    """The class for an error of the system: InputError if a path cannot be used, else ResourceError."""
+    return InputError if error.errno in _OF_PATHS else ResourceError
+
+
 def ending_of(error: Exception) -> tuple[int, str]:
     """Exit code and message for any exception that ends a run, so that no user sees a traceback."""
     if isinstance(error, MalusError):
@@ -47,7 +60,7 @@ def ending_of(error: Exception) -> tuple[int, str]:
     if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error)):
         return ResourceError.exit_code, "out of memory; see `malus check` for what the station needs"
     if isinstance(error, OSError):
-        return ResourceError.exit_code, f"{error.filename or 'a file'}: {error.strerror or error}"
+        return kind_of(error).exit_code, f"{error.filename or 'a file'}: {error.strerror or error}"
     return (
         ResourceError.exit_code,
         f"stopped by an error of its own, please report it: {type(error).__name__}: {error}\n"

@@ -182,7 +182,9 @@ def check_order(
     of equally spaced angles that are all shifted or counted in the opposite direction.
     """
     stack = as_shares(images, "images")
-    return OrderFinding(**_core.check_order(stack, as_angles(angles_rad, "angles_rad"), as_mask(mask, stack[0].shape)))
+    return OrderFinding(
+        **_core.check_order(stack, as_angles(angles_rad, "angles_rad", len(stack)), as_mask(mask, stack[0].shape))
+    )
 
 
 def check_response(
@@ -199,5 +201,7 @@ def check_response(
     """
     stack = as_shares(images, "images")
     return Finding(
-        **_core.check_response(stack, as_angles(angles_rad, "angles_rad"), as_mask(mask, stack[0].shape), response)
+        **_core.check_response(
+            stack, as_angles(angles_rad, "angles_rad", len(stack)), as_mask(mask, stack[0].shape), response
+        )
     )

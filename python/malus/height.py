@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_mask
+from malus._arrays import as_image, as_mask, as_numbers
 from malus._core import HeightMap, PolarizationState, ReflectionMap
 from malus.camera import Camera
 from malus.options import Options
@@ -60,7 +60,7 @@ def light_from_polarization(
     """
     vector = None
     if direction is not None:
-        vector = np.asarray(direction, dtype=np.float64)
+        vector = np.asarray(as_numbers(direction, "direction"), dtype=np.float64)
         if vector.shape != (3,) or not np.linalg.norm(vector) > 0:
             raise ValueError(f"direction is {vector.tolist()}, expected three numbers that are not all zero")
     return _core.light_from_polarization(state, reflection, vector, camera, (options or Options()).to_json(), threads)
@@ -73,6 +73,7 @@ def solve(
     camera: Camera | None = None,
     light: ArrayLike | None = None,
     prior_normals: ArrayLike | None = None,
+    prior_depth: ArrayLike | None = None,
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> HeightMap:
@@ -80,12 +81,18 @@ def solve(
 
     camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
     z forward, towards the camera). Without `light` it is estimated with prior_normals (H×W×3), and without both as by
-    `light_from_polarization`, which turns a hollow object upside down. `status` says how the solver ended.
+    `light_from_polarization`, which turns a hollow object upside down. prior_depth: H×W, z of the coarse surface in the camera, which is needed then; NaN = none.
+    The solution starts from it, and with the option height.boundary = "prior" keeps to it along the outline. `status` says how the solver ended.
     """
     vector = None
     if light is not None:
-        vector = np.asarray(light, dtype=np.float64)
+        vector = np.asarray(as_numbers(light, "light"), dtype=np.float64)
         if vector.shape != (4,):
             raise ValueError(f"light has shape {vector.shape}, expected (4,): light vector and ambient")
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
-    return _core.solve_height(state, reflection, camera, vector, normals, (options or Options()).to_json(), threads)
+    depth = None if prior_depth is None else as_image(prior_depth, "prior_depth")
+    if depth is not None and depth.shape != state.unpolarized.shape:
+        raise ValueError(f"prior_depth has shape {depth.shape}, expected {state.unpolarized.shape} as the state")
+    return _core.solve_height(
+        state, reflection, camera, vector, normals, depth, (options or Options()).to_json(), threads
+    )

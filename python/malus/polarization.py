@@ -17,6 +17,7 @@ from malus._arrays import (
     as_image,
     as_intensities,
     as_mask,
+    as_numbers,
     as_reflection,
     as_shares,
     as_zeniths,
@@ -32,6 +33,7 @@ __all__ = [
     "ReflectionMap",
     "brewster_angle",
     "calibrate",
+    "calibrate_with_surface",
     "decompose",
     "diffuse_degree",
     "diffuse_zenith",
@@ -63,11 +65,56 @@ def calibrate(
     stack = as_shares(images, "images")
     return _core.fit_polarizer(
         stack,
-        as_angles(angles_rad, "angles_rad"),
+        as_angles(angles_rad, "angles_rad", len(stack) if len(angles_rad) else None),
         as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
         frames_averaged,
+        (options or Options()).to_json(),
+        threads,
+    )
+
+
+def calibrate_with_surface(
+    state: PolarizationState,
+    normals: ArrayLike,
+    *,
+    camera: Camera | None = None,
+    light: ArrayLike | None = None,
+    known_scale: bool = True,
+    reflection: str = "auto",
+    refractive_index: float = 1.5,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+) -> tuple[PolarizationState, dict[str, Any]]:
+    """Zero of the polarizer's scale, which images alone do not determine, by the azimuths of a surface (docs/method.md, section 1).
+
+    normals: H×W×3, unit, camera frame, towards the camera, NaN = none. camera None = orthographic. light: 3, camera frame, towards the
+    source, as `malus.height.light` finds it, if there is a highlight. known_scale False: zero and direction are not known at all.
+    reflection: "auto", "diffuse" or "specular". Returns the state, corrected where the option polarizer.calibrate_angles allows and the
+    zero is significantly off, and figures: `from_surface` (whether it is corrected), `surface_check`, `angles_deg` and
+    `angles_sigma_deg` of the state's distinct angles, `zero_error_deg` (to be added to angles as read), `zero_error_sigma_deg`,
+    `coherence`, `coherence_opposite`, `warnings` and others.
+
+    Raises ValueError for wrong shapes; malus.InputError if the scale certainly counts the other way or is off by 90°; malus.DataError if
+    the scale is not known and the surface does not determine it.
+    """
+    surface = as_image(normals, "normals", 3)
+    if surface.shape[:2] != state.unpolarized.shape:
+        raise ValueError(f"normals has shape {surface.shape}, expected {(*state.unpolarized.shape, 3)} as the state")
+    direction = None
+    if light is not None:
+        direction = _plain(light, "light")
+        if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
+            raise ValueError(f"light is {direction.tolist()}, expected three numbers that are not all zero")
+    return _core.calibrate_with_surface(
+        state,
+        camera,
+        surface,
+        direction,
+        known_scale,
+        reflection,
+        refractive_index,
         (options or Options()).to_json(),
         threads,
     )
@@ -99,7 +146,7 @@ def decompose(
     fit = _core.decompose_16_bit if stack[0].dtype == np.uint16 else _core.decompose
     return fit(
         stack,
-        as_angles(angles_rad, "angles_rad"),
+        as_angles(angles_rad, "angles_rad", len(stack)),
         as_mask(mask, stack[0].shape),
         full_well_e,
         read_noise_e,
@@ -107,6 +154,10 @@ def decompose(
         (options or Options()).to_json(),
         threads,
     )
+
+
+def _plain(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    return np.asarray(as_numbers(values, name), dtype=np.float64)
 
 
 def diffuse_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
@@ -122,14 +173,14 @@ def specular_degree(zenith_rad: ArrayLike, refractive_index: float = 1.5) -> NDA
 
 def diffuse_zenith(degree: ArrayLike, refractive_index: float = 1.5) -> NDArray[np.float64]:
     """Zenith [rad] of a diffuse degree (Eq 7); degrees above the largest possible degree give 90°."""
-    return _core.diffuse_zenith(np.asarray(degree, dtype=np.float64), refractive_index)
+    return _core.diffuse_zenith(_plain(degree, "degree"), refractive_index)
 
 
 def specular_zenith(
     degree: ArrayLike, refractive_index: float = 1.5, *, above_brewster: bool = False
 ) -> NDArray[np.float64]:
     """Zenith [rad] of a specular degree (inverse of Eq 8) on one side of Brewster's angle."""
-    return _core.specular_zenith(np.asarray(degree, dtype=np.float64), refractive_index, above_brewster)
+    return _core.specular_zenith(_plain(degree, "degree"), refractive_index, above_brewster)
 
 
 def brewster_angle(refractive_index: float = 1.5) -> float:

@@ -108,7 +108,7 @@ def reconstruct(
         if cameras is not None or _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
                 log = log or (lambda _, __: None)
-                core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
+                core = _with_photos(_described(station), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
     if workspace is not None and log is not None:
         for told in _core.overtaken_exports(str(workspace)):
@@ -146,6 +146,12 @@ def unpolarized_scene(
         core, options.to_json(), threads, workspace=str(workspace), replace=True, until="polarization"
     )
     return np.asarray(outcome["scene"], np.float32), np.asarray(outcome["valid"], np.uint8)
+
+
+def _described(station: Station) -> dict[str, Any]:
+    """The station's description, whose `path` names it in messages even if it is made of arrays."""
+    description = station.describe()
+    return {"path": f"station {description['name']}", **description}
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
@@ -292,7 +298,7 @@ def expected_times(
     cameras_known: as in `check`. Only the images' size and the mask are read; raises the errors that a run raises for these.
     """
     settings = options or Options()
-    description = station.describe()
+    description = _described(station)
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
@@ -371,7 +377,7 @@ def check(
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
     if _needs_photos(station, None):
-        planned = _planned(station.describe(), settings, threads, plan["width"], plan["height"], known=cameras_known)
+        planned = _planned(_described(station), settings, threads, plan["width"], plan["height"], known=cameras_known)
         # Listed after the polarization step, whose image is oriented among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings

@@ -187,9 +187,9 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     every = [
         ("overview", "Overview"), ("checks", "Checks"), ("compare", "Before and after"), ("explore", "Relight and turn"), ("relief", "Relief"),
         ("polarization", "Polarization"), ("height", "Height"), ("profiles", "Profiles"), ("patches", "Patches"),
-        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), ("control", "Control points"), *_OTHERS, ("provenance", "Provenance"),
+        ("uncertainty", "Uncertainty"), ("reference", "Reference"), ("m3c2", "M3C2"), ("scale", "Scale"), ("prior_scale", "Scale of the prior"), ("control", "Control points"), *_OTHERS, ("provenance", "Provenance"),
     ]  # fmt: skip
-    optional = ("profiles", "patches", "reference", "scale", "control", *(name for name, _ in _OTHERS))
+    optional = ("profiles", "patches", "reference", "scale", "prior_scale", "control", *(name for name, _ in _OTHERS))
     absent = {name for name in optional if not quality.get(name)}
     if not figures["m3c2"]:
         absent.add("m3c2")
@@ -235,6 +235,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
         findings=workspace.findings,
         checks=CHECKS,
         scale=quality.get("scale"),
+        prior_scale=quality.get("prior_scale"),
         control=quality.get("control"),
         manifest=manifest,
         figures=figures,

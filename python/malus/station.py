@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_labels, as_mask, as_rows, as_triangles, require_shares, unmasked
+from malus._arrays import as_image, as_images, as_labels, as_mask, as_numbers, as_rows, as_triangles, require_shares
 from malus._files import require_utf8
 from malus._plain import plain
 from malus.camera import Camera
@@ -96,21 +96,45 @@ class PatchValues(TypedDict, total=False):
 ProfileValues = TypedDict("ProfileValues", {"name": str, "from": Sequence[float], "to": Sequence[float]}, total=False)
 
 
+class MarkValues(TypedDict):
+    """A mark in a photo, in pixels; the center of the first one is at (0, 0)."""
+
+    image: str
+    x: float
+    y: float
+
+
+class PhotosValues(TypedDict, total=False):
+    """[photos]: the folder of the photos that give camera and prior; `camera` has the keys of a lens in a station file."""
+
+    folder: Required[str | Path]
+    exclude: Sequence[str]
+    masks: str | Path
+    camera: Mapping[str, Any]
+
+
 class ScaleValues(TypedDict, total=False):
-    """[[scale]]: a known distance between two points of the prior's frame."""
+    """[[scale]]: a known distance between two points of the prior's frame (a_xyz, b_xyz); with photos between two places that are
+    marked in them (a, b), or two coded targets.
+    """
 
     distance: Required[float]
-    a_xyz: Required[Sequence[float]]
-    b_xyz: Required[Sequence[float]]
+    a_xyz: Sequence[float]
+    b_xyz: Sequence[float]
+    a: Sequence[MarkValues]
+    b: Sequence[MarkValues]
+    targets: Sequence[int]
+    targets_dictionary: str
     check: bool
 
 
 class ControlValues(TypedDict, total=False):
-    """[[control]]: a point of known coordinates in the world frame, and the pixel [x, y] of the images as taken that shows it."""
+    """[[control]]: a point of known coordinates, marked in photos, in the polarized images (`pixel`), or in both."""
 
     name: str
     xyz: Required[Sequence[float]]
-    pixel: Required[Sequence[float]]
+    pixel: Sequence[float]
+    marks: Sequence[MarkValues]
     check: bool
 
 
@@ -147,6 +171,7 @@ class Station:
         prior: PriorValues | None = None,
         patches: Sequence[PatchValues] = (),
         profiles: Sequence[ProfileValues] = (),
+        photos: PhotosValues | None = None,
         scale: Sequence[ScaleValues] = (),
         control: Sequence[ControlValues] = (),
         object: Mapping[str, str] | None = None,
@@ -158,22 +183,28 @@ class Station:
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
         without prior_normals (N×3, out of the object), prior_mesh (vertices N×3, world frame, and triangles M×3 of their
-        indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), or `prior`, a file or a shape. The polarization
-        maps and the height from them need neither prior nor camera (None); everything else does. prior_sigma: standard
-        deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto".
-        reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide), like the mask of the images as taken.
+        indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), `prior`, a file or a shape, or `photos`, which
+        give the camera's pose, too. The polarization maps and the height from them need neither prior nor camera (None);
+        everything else does. prior_sigma: standard deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object.
+        refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide), like
+        the mask of the images as taken.
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
-        channel, mosaic …), `optics` (light …), `patches`, `profiles`, `scale`, `control` (points that check the camera's
-        pose, which `Camera.resected` makes from others) and `object` (catalog entries). Relative file names in them start
-        at the current folder. Wrong shapes and masked values raise ValueError; wrong values malus.InputError, whose message
-        names tables and keys as for a file.
+        channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
+        camera's pose, which `Camera.resected` makes from others, or that give it with `photos`) and `object` (catalog entries).
+        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
+        malus.InputError, whose message names tables and keys as for a file.
         """
         stack = as_images(images, "images", color=True)
         shape = stack[0].shape[:2]
         if camera is not None and shape != (camera.height, camera.width):
             raise ValueError(f"images are {shape[1]} x {shape[0]} pixels, camera is {camera.width} x {camera.height}")
-        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, prior, shape)
+        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, shape)
+        ways = (prior_points, prior_mesh, prior_depth, prior, photos)
+        if sum(given is not None for given in ways) > 1:
+            raise ValueError(
+                "prior_points, prior_mesh, prior_depth, prior, photos: more than one is given, expected one of them"
+            )
         labels = None if isinstance(reflection, str | os.PathLike) else _labels(reflection, optics, shape)
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
@@ -186,6 +217,7 @@ class Station:
             },
             "object": object,
             "prior": prior if prior_sigma is None else {**(prior or {}), "sigma": prior_sigma},
+            "photos": None if photos is None else _with_absolute_folders(photos),
             "patch": patches,
             "profile": profiles,
             "scale": scale,
@@ -269,10 +301,16 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
         return angles_deg
-    angles = np.asarray(unmasked(angles_deg, "angles_deg"), dtype=np.float64)
+    angles = as_numbers(angles_deg, "angles_deg")
     if angles.shape != (count,):
         raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles
+
+
+def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:
+    """The table with absolute paths: COLMAP is started in another folder."""
+    values: dict[str, Any] = dict(photos)
+    return values | {key: os.path.abspath(values[key]) for key in ("folder", "masks") if key in values}
 
 
 def _labels(reflection: ArrayLike, optics: OpticsValues | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -286,15 +324,9 @@ def _prior_arrays(
     normals: ArrayLike | None,
     mesh: tuple[ArrayLike, ArrayLike] | None,
     depth: ArrayLike | None,
-    other: PriorValues | None,
     shape: tuple[int, ...],
 ) -> dict[str, Any]:
-    """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points.
-
-    other: a file or a shape. ValueError if more than one prior is given.
-    """
-    if sum(given is not None for given in (points, mesh, depth, other)) > 1:
-        raise ValueError("prior_points, prior_mesh, prior_depth, prior: more than one is given, expected one of them")
+    """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points."""
     arrays: dict[str, Any] = dict.fromkeys(("prior_points", "prior_normals", "prior_triangles", "prior_depth"))
     if points is not None:
         arrays["prior_points"] = as_rows(points, "prior_points")

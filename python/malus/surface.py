@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image
+from malus._arrays import as_image, as_rows, as_triangles
 from malus._core import FusedSurface
 from malus.camera import Camera
 from malus.options import Options
@@ -56,7 +56,9 @@ def dem_from_mesh(
     mesh: Mesh, surface: FusedSurface, *, options: Options | None = None, threads: int = ALL_CORES
 ) -> Dem:
     """Elevation model of a surface's mesh above the plane fitted to it; pixel size: options.surface.dem_pixel."""
-    return Dem(**_core.dem_from_mesh(mesh.vertices, mesh.triangles, surface, (options or Options()).to_json(), threads))
+    vertices = as_rows(mesh.vertices, "vertices")
+    triangles = as_triangles(mesh.triangles, len(vertices))
+    return Dem(**_core.dem_from_mesh(vertices, triangles, surface, (options or Options()).to_json(), threads))
 
 
 def write_dem(path: str | Path, dem: Dem, *, unit: str, name: str) -> None:

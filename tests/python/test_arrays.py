@@ -5,6 +5,9 @@ from __future__ import annotations
 import copy
 import pickle
 import runpy
+import threading
+import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -208,6 +211,87 @@ def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarr
         malus.prior.project_depth(depth, camera)
     with pytest.raises(ValueError, match="mask has masked values"):
         malus.polarization.decompose(polarized(*maps), ANGLES, mask=depth)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda m, camera: m.prior.project_points([[1, 2], [3]], camera), "points has parts of different lengths"),
+        (lambda m, camera: m.prior.project_points([["a", "b", "c"]], camera), "points has type .*expected numbers"),
+        (
+            lambda m, camera: m.prior.project_points(np.ma.masked_equal([[1.0, 2.0, 3.0]], 2.0), camera),
+            "points has masked values",
+        ),
+        (
+            lambda m, camera: m.prior.project_mesh(np.eye(3), [[0, 1, 1.5]], camera),
+            "triangles has fractions, expected whole",
+        ),
+        (
+            lambda m, camera: m.prior.project_mesh(np.eye(3), [[0, 1, 3]], camera),
+            "triangles has indices from 0 to 3, expected 0 to 2",
+        ),
+        (lambda m, camera: m.polarization.diffuse_degree(["x"]), "zenith_rad has type"),
+        (lambda m, camera: m.polarization.specular_zenith([[0.1], [0.1, 0.2]]), "degree has parts of different"),
+        (lambda m, camera: m.capture.linearize([["x"]]), "image has type"),
+        (lambda m, camera: camera.resected(np.eye(3), [["x", "y"]] * 3), "pixels has type"),
+        (
+            lambda m, camera: m.fusion.FusedSurface(np.ones((40, 50)), np.ones((40, 50)), np.ones((40, 50)), camera),
+            r"normals has shape \(40, 50\), expected \(40, 50, 3\)",
+        ),
+        (
+            lambda m, camera: m.fusion.FusedSurface(np.ones((40, 50)), np.ones((40, 50, 3)), np.ones((50, 40)), camera),
+            r"sigma has shape \(50, 40\), expected \(40, 50\)",
+        ),
+        (
+            lambda m, camera: m.prior.DepthPrior(np.ones((40, 49)), np.ones((40, 50)), camera),
+            r"depth has shape \(40, 49\), expected \(40, 50\)",
+        ),
+    ],
+)
+def test_wrong_arguments_are_named(call: Callable[..., object], said: str) -> None:
+    """Their names were missing, or values below a mask, fractions and rasters of another size were taken as they are."""
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    with pytest.raises(ValueError, match=said):
+        call(malus, camera)
+
+
+def test_wrong_angles_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    images = polarized(*maps)
+    calls = (malus.polarization.decompose, malus.polarization.calibrate, malus.evidence.check_order)
+    for call in calls:
+        with pytest.raises(ValueError, match=r"angles_rad has shape \(5,\), expected \(6,\): one angle per image"):
+            call(images, ANGLES[:5])
+        with pytest.raises(ValueError, match=r"angles_rad has shape \(6, 1\)"):
+            call(images, ANGLES[:, None])
+        with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*looks like degrees"):
+            call(images, np.degrees(ANGLES))
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    with pytest.raises(ValueError, match="angles_deg has type .*expected numbers"):
+        malus.Station(images, ["0°"] * 6, camera)  # type: ignore[list-item]
+
+
+def test_other_threads_run_while_large_arrays_are_computed() -> None:
+    """The Fresnel functions held the interpreter's lock, so that Ctrl-C had to wait, too."""
+    degrees = np.full((2500, 4000), 0.1)
+    ended = threading.Event()
+    ticks: list[float] = []
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            ticks.append(time.monotonic())
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    try:
+        begin = time.monotonic()
+        zeniths = malus.polarization.specular_zenith(degrees)
+        end = time.monotonic()
+    finally:
+        ended.set()
+        thread.join()
+    assert sum(begin < at < end for at in ticks) > 3
+    assert zeniths.shape == degrees.shape and np.ptp(zeniths) == 0
+    assert zeniths[0, 0] == malus.polarization.specular_zenith(0.1)
 
 
 def mean_normal_error_deg(height: np.ndarray, normal: np.ndarray, mask: np.ndarray) -> float:

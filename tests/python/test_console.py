@@ -7,6 +7,7 @@ import html
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -200,6 +201,33 @@ def test_single_steps_list_the_files_they_wrote(finished_grid: Path, small_stati
     outcome = run_malus("decompose", small_station, "-o", tmp_path / "work")
     assert outcome.code == 0, outcome.err
     assert "polarization/degree.tif" in outcome.out and "polarization/zenith.tif" in outcome.out
+
+
+def test_commands_on_a_workspace_follow_json_and_quiet(finished_grid: Path, tmp_path: Path) -> None:
+    """They printed a plain line among the events, and in spite of --quiet; options with mistakes were accepted."""
+    written = tmp_path / "a.stl"
+    command = ("export", finished_grid, "--format", "stl", "-o", written)
+    assert malus_here(*command).out == f"{written}\n"
+    assert malus_here(*command, "--quiet").out == ""
+    [event] = [json.loads(line) for line in malus_here(*command, "--json").out.splitlines()]
+    assert (event["event"], event["step"], event["fraction"]) == ("progress", "export", 1.0)
+    assert event["message"] == str(written)
+    wrong = malus_here(*command, "--set", "grid.nothing=8")
+    assert wrong.code == 2 and "unknown option grid.nothing" in wrong.err
+
+
+def test_report_takes_the_station_like_other_steps(
+    finished_grid: Path, small_station_source: Path, small_station: Path, tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(finished_grid, work)
+    (work / "report" / "index.html").unlink()
+    outcome = malus_here("report", small_station_source / "station.toml", "-o", work, "--json")
+    assert outcome.code == 0, outcome.err
+    assert json.loads(outcome.out.splitlines()[-1])["message"] == str(work / "report" / "index.html")
+    assert (work / "report" / "index.html").is_file()
+    refused = malus_here("report", small_station, "-o", work)
+    assert refused.code == 2 and "belongs to station 'small'" in refused.err
 
 
 def test_misspelled_words_get_a_suggestion() -> None:

@@ -30,8 +30,9 @@ from malus._files import new_folder, read_record, replacing, scratch_folder, wri
 from malus._patterns import matching
 from malus.batch import _as_text
 from malus.encoding import Encoding, encoding_of
-from malus.errors import ending_of
+from malus.errors import InputError, ending_of
 from malus.exif import tags_of
+from malus.photogrammetry import exclusive
 from malus.photogrammetry.photos import describe_photo, list_photos
 
 MB = 1 << 20
@@ -98,6 +99,20 @@ def test_libraries_that_found_no_room_are_said(
     lost = ImportError("libxcb.so.1: failed to map segment from shared object")
     assert ending_of(lost) == (5, "out of memory; see `malus check` for what the station needs")
     assert "report it" in ending_of(ImportError("libxcb.so.1: no such file"))[1]
+
+
+def test_paths_that_cannot_be_used_are_no_lack_of_resources(tmp_path: Path) -> None:
+    """Every error of the system that no one expected ended with exit code 5, out of disk or memory."""
+    codes = {error.errno: ending_of(error)[0] for error in (FileNotFoundError(2, ""), PermissionError(13, ""))}
+    assert codes == {2: 2, 13: 2}
+    lacking = (OSError(28, "No space left on device"), BlockingIOError(11, "no more processes"), OSError("?"))
+    assert [ending_of(error)[0] for error in lacking] == [5, 5, 5]
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="Not a directory"), exclusive(tmp_path / "file" / "below"):
+        pass
+    long = tmp_path / ("x" * 300)
+    outcome = malus_here("run", tmp_path / "station.toml", "-o", tmp_path / "work", "--reference", long)
+    assert outcome.code == 2 and long.name in outcome.err
 
 
 def test_files_over_the_limit_of_size_are_like_a_full_disk(small_station: Path, tmp_path: Path) -> None:

@@ -651,6 +651,7 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         assert all(text.count(reason) == 1 for reason in confidence["reasons"])  # once for all stations, first of all
         said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
         assert said in outcome.out and said in quiet.err
+        assert any(line.startswith(said) for line in told)
         assert " 50 %  stations " in outcome.err and "100 %  object " in outcome.err
         size, mesh = outcome.out.splitlines()[0], outcome.out.splitlines()[2]
         assert re.fullmatch(r"pair: [\d.]+ × [\d.]+ × [\d.]+ mm, 2 of 2 stations, one pixel is [\d.]+ µm", size)

@@ -582,6 +582,11 @@ def test_a_height_that_cannot_be_computed_is_said_to_be_none(small_station: Path
     assert (
         outcome.code == 0 and f"there is no height from polarization, height/height.tif is empty: {why}" in outcome.err
     )
+    options = malus.Options(light={"min_tangential": 0.5})
+    kept = malus.reconstruct(malus.Station.load(small_station), options, workspace=work, until="height")
+    assert any(why in warning for warning in kept.warnings)
+    outcome = malus_station(small_station, "-o", tmp_path / "again", "--until", "height", *words)
+    assert outcome.code == 0 and f"height/height.tif is empty: {why}" in outcome.err
     outcome = run_malus("run", small_station, "-o", work, *QUICK_WORDS, *words)
     assert outcome.code == 0, outcome.err
     page = (work / "report/index.html").read_text(encoding="utf-8")

@@ -434,6 +434,24 @@ def test_provenance_names_everything_that_was_read(small_station: Path, tmp_path
     assert says["camera"]["model"] == "PINHOLE" and says["sha256"]
 
 
+def test_known_distances_of_a_given_prior_are_reported(tiny_station_source: Path, tmp_path: Path) -> None:
+    """The error of a distance that was held out was only logged."""
+    station = tmp_path / "tiny" / "station.toml"
+    shutil.copytree(tiny_station_source, station.parent)
+    bars = "".join(
+        f"\n[[scale]]\ndistance = {distance}\na_xyz = [0, 0, 0]\nb_xyz = [10, 0, 0]\ncheck = {check}\n"
+        for distance, check in ((10, "false"), (10.01, "true"))
+    )
+    station.write_text(station.read_text() + bars)
+    outcome = run_malus("run", station, "-o", tmp_path / "work", "--fusion", "grid", "--threads", "2")
+    assert outcome.code == 0, outcome.err
+    scale = malus.Workspace(tmp_path / "work").quality["prior_scale"]
+    assert scale["scale"] == pytest.approx(1) and scale["distances"][0]["residual"] == 0
+    held_out = scale["distances"][1]
+    assert held_out["check"] and held_out["residual"] == pytest.approx(-0.01)
+    assert 'data-path="prior_scale.distances.1.residual"' in (tmp_path / "work/report/index.html").read_text()
+
+
 def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"\n', "")
     outcome = run_malus("decompose", small_station, "-o", tmp_path / "work", "--quiet")

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import tifffile
 
+import malus
 from conftest import EXAMPLE, edit, malus_station
+from malus import _core
 from malus.synthetic import write_station
 
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
@@ -90,6 +92,33 @@ def test_wrong_zero_is_corrected_and_reported(relief: Path) -> None:
     assert found["from_surface"]
     assert found["zero_error_deg"] == pytest.approx(7, abs=0.3)
     assert any("zero of the polarizer's scale" in warning for warning in found["warnings"])
+
+
+def test_wrong_zero_is_corrected_on_arrays(relief: Path) -> None:
+    """Only the run of a station could."""
+    coarse = malus.reconstruct(malus.Station.load(relief), until="prior", threads=2)
+    assert coarse.prior_depth is not None and coarse.camera is not None
+    normals = malus.surface.normals_from_depth(coarse.prior_depth, coarse.camera)
+    readings = np.arange(0.0, 180.0, 30.0)
+    images = [_core.read_image_dn(str(path))[0] / 16383 for path in sorted((relief.parent / "pol").glob("*.png"))]
+    state = malus.polarization.decompose(images, np.radians(readings - 7), frames_averaged=16)
+    light = malus.height.light(state.unpolarized, normals, camera=coarse.camera)["light"][:3]
+    given: dict[str, Any] = {"camera": coarse.camera, "light": light}
+    corrected, found = malus.polarization.calibrate_with_surface(state, normals, **given)
+    assert found["from_surface"] and found["surface_check"] == "ok"
+    assert found["zero_error_deg"] == pytest.approx(7, abs=0.5)
+    turned = (corrected.phase_rad - state.phase_rad + np.pi / 2) % np.pi - np.pi / 2
+    assert np.degrees(np.nanmedian(turned)) == pytest.approx(7, abs=0.5)
+
+    kept = malus.Options(polarizer={"calibrate_angles": "off"})
+    unchanged, found = malus.polarization.calibrate_with_surface(state, normals, options=kept, **given)
+    assert not found["from_surface"] and any("zero of the polarizer's scale" in line for line in found["warnings"])
+    np.testing.assert_array_equal(unchanged.phase_rad, state.phase_rad)
+    backwards = malus.polarization.decompose(images, -np.radians(readings), frames_averaged=16)
+    with pytest.raises(malus.InputError, match="the wrong way round"):
+        malus.polarization.calibrate_with_surface(backwards, normals, **given)
+    with pytest.raises(ValueError, match=r"normals has shape \(10, 10, 3\), expected"):
+        malus.polarization.calibrate_with_surface(state, normals[:10, :10])
 
 
 def test_correct_angles_are_not_changed_by_a_wide_highlight(tmp_path: Path) -> None:

@@ -154,6 +154,7 @@ def test_the_archive_has_the_raw_files_that_were_developed(small_station: Path, 
     stated = {entity["@id"]: entity.get("sha256") for entity in graph if entity["@type"] == "File"}
     packed = small_station.parent / "pol/pol_030.dng"
     assert stated["inputs/pol/pol_030.dng"] == sha256_of(packed)
+    assert malus.Workspace(work).manifest["inputs"]["pol/pol_030.dng"] == sha256_of(packed)
     assert {name for name, digest in stated.items() if not digest} == {
         "metadata/dublin_core.xml",
         "results/manifest.json",

@@ -13,6 +13,7 @@ import malus
 from conftest import edit, malus_here, malus_station
 from conftest import malus as run_malus
 from malus import _core
+from malus._files import sha256_of
 from malus.scans import read_scan
 
 
@@ -224,6 +225,7 @@ def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: 
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive")) as file:
         assert file.read("small/data/inputs/cloud.las") == cloud.read_bytes()
+    assert malus.Workspace(work).manifest["inputs"]["cloud.las"] == sha256_of(cloud)
     moved = laspy.read(cloud)
     moved.X[0] += 1
     moved.write(cloud)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -282,6 +284,42 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
     assert before not in changed
 
 
+def test_photos_give_camera_and_prior_of_a_station_in_memory(
+    pictures: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only a station of a file could have photos and control points."""
+    (tmp_path / "views").mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(pictures[0]).save(tmp_path / "views" / name)
+    depth = np.full(SIZE, 200, np.float32)
+    described: list[dict[str, Any]] = []
+
+    def find(description: dict[str, Any], *_: object, **__: object) -> SimpleNamespace:
+        described.append(description)
+        camera = dataclasses.replace(CAMERA, translation=[0.0, 0.0, 50.0])
+        return SimpleNamespace(station=camera, figures={}, times={}, warnings=["few photos"])
+
+    def sweep(*_: object, **__: object) -> malus.photogrammetry.Swept:
+        return malus.photogrammetry.Swept(depth, np.full_like(depth, 0.5), None, {}, {})
+
+    monkeypatch.setattr(malus.photogrammetry, "find_cameras", find)
+    monkeypatch.setattr(malus.photogrammetry, "sweep_station", sweep)
+    marks = [{"image": "a.png", "x": 1, "y": 2.5}, {"image": "b.png", "x": 3, "y": 4}]
+    point = {"name": "A", "xyz": [1, 2, 3], "marks": marks, "pixel": [4, 5]}
+    station = in_memory(pictures, photos={"folder": "views"}, control=[point])
+    found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
+    np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-3)
+    assert found.camera is not None and found.camera.pose()[1][2] == 50
+    assert "photos: few photos" in found.warnings
+    assert described[0]["photos"]["folder"] == str(tmp_path / "views") and described[0]["path"] == "station words"
+    assert described[0]["control"][0]["marks"][1] == {"image": "b.png", "x": 3, "y": 4}
+
+    scaled = in_memory(pictures, photos={"folder": "views"}, scale=[{"distance": 3, "a": marks, "b": marks}])
+    assert scaled.describe()["scale"][0]["a"][0]["y"] == 2.5
+    with pytest.raises(malus.InputError, match=r"\[photos\].folder.*expected an existing folder"):
+        in_memory(pictures, photos={"folder": "none"})
+
+
 def test_curve_pixels_of_a_station_in_memory(pictures: list[np.ndarray]) -> None:
     station = in_memory(pictures).with_curves_of([(59, 39)])
     assert station.describe()["curve_pixels"] == [[59, 39]]
@@ -354,8 +392,9 @@ def test_types_of_tables_have_the_keys_of_the_station_file() -> None:
         "[polarized]": (tables.PolarizedValues, {"images", "angles_deg", "angle_pattern", "mask"}),
         "[optics]": (tables.OpticsValues, set()),
         "[prior]": (tables.PriorValues, set()),
-        "[[scale]]": (tables.ScaleValues, {"a", "b", "targets", "targets_dictionary"}),
-        "[[control]]": (tables.ControlValues, {"marks"}),
+        "[photos]": (tables.PhotosValues, set()),
+        "[[scale]]": (tables.ScaleValues, set()),
+        "[[control]]": (tables.ControlValues, set()),
         "[[patch]]": (tables.PatchValues, set()),
         "[[profile]]": (tables.ProfileValues, set()),
     }

@@ -314,6 +314,30 @@ def test_a_stated_reflection_on_arrays(dome: Dome) -> None:
             step(dome.state, reflection=np.ones((3, 3)))
 
 
+def test_height_may_start_from_a_prior_on_arrays(dome: Dome) -> None:
+    """As the height of a station does; the option height.boundary = "prior" was always an error."""
+    v, u = np.mgrid[:96, :96].astype(float)
+    smooth = 800 + 4 * ((u - 47.5) ** 2 + (v - 47.5) ** 2) / 48**2
+    normals = malus.surface.normals_from_depth(smooth, dome.camera)
+    reflection = malus.polarization.map_reflection(
+        dome.state, camera=dome.camera, prior_normals=normals, reflection="diffuse"
+    )
+    held: dict[str, Any] = {"options": malus.Options(height={"boundary": "prior"}), "prior_normals": normals}
+    height = malus.height.solve(
+        dome.state, reflection, camera=dome.camera, prior_depth=smooth, threads=2, **held
+    ).height
+    prior = -1600 * (np.log(smooth) - np.log(smooth).mean())
+    ring = np.ones((96, 96), bool)
+    ring[2:-2, 2:-2] = False
+    assert np.nanmedian(np.abs(height - prior)[ring]) < 1
+    with pytest.raises(malus.InputError, match="needs the height of the prior"):
+        malus.height.solve(dome.state, reflection, camera=dome.camera, **held)
+    with pytest.raises(malus.InputError, match="prior_depth needs the camera"):
+        malus.height.solve(dome.state, reflection, prior_depth=smooth)
+    with pytest.raises(ValueError, match=r"prior_depth has shape \(95, 96\), expected \(96, 96\)"):
+        malus.height.solve(dome.state, reflection, camera=dome.camera, prior_depth=smooth[1:])
+
+
 def test_mesh_and_assessment_on_arrays() -> None:
     camera = Camera("PINHOLE", 40, 30, [400.0, 400.0, 19.5, 14.5])
     u = np.indices((30, 40))[1].astype(float)

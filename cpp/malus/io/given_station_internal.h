@@ -18,8 +18,8 @@ struct GivenInMemory {
 };
 
 /// Station whose images, camera and perhaps prior are in memory. `json` is an object with a station file's other
-/// tables, without images, mask, camera and photos; the tables are checked as those of a file are. Relative paths start
-/// at the current folder.
+/// tables, without images, mask and camera; the tables are checked as those of a file are. Relative paths start at the
+/// current folder.
 StationFile read_given_station(const std::string& json, const GivenInMemory& given);
 
 /// Shape of the world frame. `json` is an object with one of the keys `plane`, `sphere` and `cylinder` of a station

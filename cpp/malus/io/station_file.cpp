@@ -787,8 +787,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
                                 const GivenInMemory* given) {
   StationFile station;
   station.path = path;
-  Keys known{"station", "object", "polarized", "optics", "prior", "scale", "control", "patch", "profile"};
-  if (given == nullptr) known.insert(known.end(), {"camera", "photos"});
+  Keys known{"station", "object", "polarized", "optics", "prior", "photos", "scale", "control", "patch", "profile"};
+  if (given == nullptr) known.emplace_back("camera");
   const TomlTable document(root, path, "", known);
 
   station.name = path.parent_path().filename().string();

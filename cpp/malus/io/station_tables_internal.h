@@ -12,7 +12,7 @@
 namespace malus {
 
 /// As read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative paths start
-/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask, camera or photos.
+/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask or camera.
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given);
 
 /// The shape in a table with one of the keys `plane`, `sphere` and `cylinder` of [prior].

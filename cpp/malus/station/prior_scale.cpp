@@ -5,6 +5,16 @@
 #include "malus/station/prior_scale_internal.h"
 
 namespace malus {
+namespace {
+
+/// Error of a scale bar after scaling, in the station's unit; 0 for a single distance, which is met up to rounding.
+double bar_error(const StationFile& station, std::size_t bar) {
+  constexpr double rounding = 1e-9;  // relative to the distance
+  const double error = station.scale_errors[bar];
+  return std::abs(error) < rounding * station.scale_bars[bar].distance ? 0 : error;
+}
+
+}  // namespace
 
 PointCloud scaled(PointCloud cloud, double scale) {
   for (Eigen::Vector3d& point : cloud.points) point *= scale;
@@ -41,15 +51,27 @@ std::string describe_scale(const StationFile& station) {
   std::ostringstream text;
   text << "known distances make the prior " << with_digits(station.prior_scale, 6)
        << " times as large; they are then off by";
-  constexpr double rounding = 1e-9;  // relative to the distance; a single distance is met up to rounding
   for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
-    const ScaleBar& bar = station.scale_bars[i];
-    const double error = station.scale_errors[i];
-    text << (i == 0 ? " " : ", ") << with_digits(std::abs(error) < rounding * bar.distance ? 0 : error, 3)
-         << (bar.check ? " (check)" : "");
+    text << (i == 0 ? " " : ", ") << with_digits(bar_error(station, i), 3)
+         << (station.scale_bars[i].check ? " (check)" : "");
   }
   text << " " << station.unit;
   return text.str();
+}
+
+Json scale_json(const StationFile& station) {
+  if (station.scale_errors.empty()) return nullptr;
+  Json distances = Json::array();
+  for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
+    const ScaleBar& bar = station.scale_bars[i];
+    const double residual = bar_error(station, i);
+    distances.push_back({{"name", "[[scale]] " + std::to_string(i + 1)},
+                         {"check", bar.check},
+                         {"distance", bar.distance},
+                         {"adjusted", bar.distance + residual},
+                         {"residual", residual}});
+  }
+  return {{"scale", station.prior_scale}, {"distances", distances}};
 }
 
 std::vector<std::string> scale_warnings(const StationFile& station) {

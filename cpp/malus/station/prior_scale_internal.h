@@ -13,6 +13,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/options/prior_options.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/station.h"
 
 namespace malus {
@@ -49,6 +50,10 @@ PriorOptions with_stated_sigma(PriorOptions options, const StationFile& station)
 
 /// The scale and the remaining error of each scale bar, in one line; empty without bars that scale a given prior.
 std::string describe_scale(const StationFile& station);
+
+/// The same for quality.json: `scale`, and each distance with its residual (scaled minus given); null without such
+/// bars.
+Json scale_json(const StationFile& station);
 
 /// Warnings of scale bars whose error remains too large after scaling.
 std::vector<std::string> scale_warnings(const StationFile& station);

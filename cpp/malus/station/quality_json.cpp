@@ -1,5 +1,6 @@
 #include "malus/station/control_points_internal.h"
 #include "malus/station/json_fields_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/quality_json_internal.h"
 
 namespace malus {
@@ -68,6 +69,7 @@ Json quality_json(const StationFile& station, const Quality& quality, const Pola
     if (!control.contains("datum")) control["datum"] = nullptr;
     control["image"] = control_json(station);
   }
+  if (const Json scale = scale_json(station); !scale.is_null()) json["prior_scale"] = scale;
   json["polarizer"] = fields_to_json(polarizer);
   json["zenith_clamped_fraction"] = clamped != nullptr ? Json(clamped->fraction) : Json(nullptr);
   if (refinement != nullptr) json["refinement"] = Json::parse(refinement->report_json);

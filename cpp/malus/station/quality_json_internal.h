@@ -14,8 +14,8 @@ namespace malus {
 Json refine_report_json(const RefineReport& report);
 
 /// The figures under the names of the Quality structs, with the station's name and [object], the polarizer's angles and
-/// exposures, the share of clamped zeniths, the refinement's findings and the photogrammetry's figures. A null pointer
-/// = that input does not exist.
+/// exposures, the share of clamped zeniths, the known distances that scale a given prior, the refinement's findings and
+/// the photogrammetry's figures. A null pointer = that input does not exist.
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,
                   const ClampedZeniths* clamped, const RefinementFindings* refinement,
                   const Photogrammetry* photogrammetry);

@@ -24,6 +24,19 @@ Error no_prior(const Station& station) {
                      "`height` can be run");
 }
 
+/// Warns if the height that was asked for could not be computed, or was still changing at the end.
+void warn_of_height(Results& results, const Context& context) {
+  const auto height = results.get<HeightMap>();
+  if (!height || height->status == HeightStatus::converged) return;
+  std::string warning = "the height was still changing at the end; with a larger height.iterations it goes on";
+  if (height->status != HeightStatus::iteration_limit) {
+    warning =
+        "there is no height from polarization, height/height.tif is empty: " + std::string(enum_name(height->status));
+  }
+  context.log(LogLevel::warning, warning);
+  results.warnings.push_back("height: " + warning);
+}
+
 /// Throws an input error that lists the steps unless a run can end with this step.
 void require_step(const std::string& name) {
   std::string known;
@@ -62,7 +75,9 @@ Results reconstruct(const Station& station, const Options& options, const RunOpt
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);
   if (std::ranges::any_of(steps, [](const Step* step) { return step->makes_type(typeid(DepthPrior)); }))
     require_camera(station.file);
-  return StepRunner(step_table(), std::move(steps), station, options, run, context).run();
+  Results results = StepRunner(step_table(), std::move(steps), station, options, run, context).run();
+  if (run.until == "height") warn_of_height(results, context);
+  return results;
 }
 
 std::optional<SurfaceConfidence> surface_confidence(const std::filesystem::path& folder) {

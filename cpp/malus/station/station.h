@@ -39,6 +39,8 @@ struct Station {
   std::optional<Mask> labels;  ///< of the images as taken, with ReflectionChoice::labels: see OpticsSpec::label_image
   PriorSource prior;
   std::optional<Photogrammetry> photogrammetry;
+  std::vector<std::filesystem::path>
+      developed_from;  ///< RAW files from which the images that file.polarized names were developed
   std::vector<Finding>
       file_findings;  ///< where the image files' own metadata and the station file contradict each other
 

@@ -1,6 +1,9 @@
+#include <variant>
+
 #include "malus/core/parallel_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/sha256_internal.h"
+#include "malus/station/prior_scale_internal.h"
 #include "malus/station/station_inputs_internal.h"
 
 namespace malus {
@@ -79,6 +82,8 @@ Json StationInputs::polarized() {
   const PolarizedSpec& spec = station_.file.polarized;
   Json json = fields_to_json(spec);
   json["images"] = files(spec.images);
+  // Recorded only: the name of a developed image depends on the content of its RAW file.
+  files(station_.developed_from);
   for (std::size_t k = 0; k < station_.images.size(); ++k)
     json["images"].push_back(array("images[" + std::to_string(k) + "]", station_.images[k]));
   if (fs::is_regular_file(spec.response)) json["response"] = file(spec.response);
@@ -127,9 +132,13 @@ Json StationInputs::prior() {
       return json;
     }
     Json operator()(const PointCloud& cloud) const {
-      return {{"points", inputs.array("prior points", cloud.points)},
-              {"normals", inputs.array("prior normals", cloud.normals)},
-              {"colors", inputs.array("prior colors", cloud.colors)}};
+      Json json = {{"points", inputs.array("prior points", cloud.points)},
+                   {"normals", inputs.array("prior normals", cloud.normals)},
+                   {"colors", inputs.array("prior colors", cloud.colors)}};
+      // A scan, which Python has read.
+      const std::optional<PriorFile>& given = inputs.station_.file.prior;
+      if (const auto* scan = given ? std::get_if<CloudFile>(&*given) : nullptr) json["scan"] = inputs.file(scan->path);
+      return json;
     }
     Json operator()(const TriangleMesh& mesh) const {
       return {{"vertices", inputs.array("prior vertices", mesh.vertices.points)},
@@ -141,7 +150,8 @@ Json StationInputs::prior() {
               {"sigma", inputs.array("swept sigma", swept.sigma)},
               {"shape", inputs.array("swept shape", swept.shape)},
               {"hull", inputs.array("hull", swept.hull)},
-              {"hull_sigma", inputs.array("hull's sigma", swept.hull_sigma)}};
+              {"hull_sigma", inputs.array("hull's sigma", swept.hull_sigma)},
+              {"photos", inputs.photos()}};
     }
   };
   Json json = std::visit(Source{*this}, station_.prior);
@@ -150,10 +160,22 @@ Json StationInputs::prior() {
   return json;
 }
 
+Json StationInputs::photos() {
+  if (!station_.file.photos || !station_.photogrammetry) return nullptr;
+  const Json figures = Json::parse(station_.photogrammetry->figures_json);
+  const Json::json_pointer place("/photogrammetry/files");
+  if (!figures.contains(place)) return nullptr;
+  const Json& hashes = figures.at(place);
+  for (const auto& [name, hash] : hashes.items())
+    taken_->hashes[name_of(station_.file.photos->folder / name)] = hash.get<std::string>();
+  return hashes;
+}
+
 Json StationInputs::regions() {
   Json json = {{"patches", fields_to_json(station_.file.patches)},
                {"profiles", fields_to_json(station_.file.profiles)}};
   if (!station_.file.control.empty()) json["control"] = fields_to_json(station_.file.control);
+  if (const Json scale = scale_json(station_.file); !scale.is_null()) json["scale"] = scale;
   return json;
 }
 

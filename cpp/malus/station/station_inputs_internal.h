@@ -44,8 +44,8 @@ class StationInputs {
   /// Lens and pose.
   Json camera();
   Json prior();
-  /// [[patch]], [[profile]] and [[control]], whose figures are in quality.json. Warnings about them are not part of a
-  /// step: every run gives them again.
+  /// [[patch]], [[profile]], [[control]] and the [[scale]] of a given prior, whose figures are in quality.json.
+  /// Warnings about them are not part of a step: every run gives them again.
   Json regions();
   /// The reference scan, and the photogrammetry's figures.
   Json comparison();
@@ -56,6 +56,8 @@ class StationInputs {
   Json array(const std::string& name, const void* data, std::size_t bytes);
   template <class T>
   Json array(const std::string& name, const T& values);
+  /// Names and hashes of the photos that a swept surface comes from, as the photogrammetry states them; null without.
+  Json photos();
   std::string name_of(const std::filesystem::path& path) const;
 
   const Station& station_;

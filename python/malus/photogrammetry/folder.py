@@ -8,15 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from malus.errors import ExternalError, InputError, MalusError, ResourceError
+from malus.errors import ExternalError, InputError, MalusError, kind_of
 
 
 @contextmanager
 def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Create the folder if needed and hold it for this process.
 
-    If another process holds the folder, raises InputError, or waits for that process if `wait` is set. Disk failures in the
-    `with` block become ResourceError, failures of a damaged database ExternalError.
+    If another process holds the folder, raises InputError, or waits for that process if `wait` is set. Failures of the
+    system in the `with` block become InputError for paths that cannot be used, else ResourceError; those of a damaged database
+    become ExternalError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -35,7 +36,7 @@ def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     except MalusError:
         raise
     except OSError as error:
-        raise ResourceError(f"{error.filename or folder}: {error.strerror or error}") from None
+        raise kind_of(error)(f"{error.filename or folder}: {error.strerror or error}") from None
     except sqlite3.Error as error:
         raise ExternalError(
             f"{folder}: COLMAP's database is damaged ({error}); remove the folder and run again"

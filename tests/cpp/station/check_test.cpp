@@ -290,6 +290,22 @@ TEST(CheckStation, ExpectsAPriorFromPhotosToTakeLongerThanACloud) {
   EXPECT_GT(of_prior(), of_cloud) << "points from photos scatter little, so that smoothing takes finer cells";
 }
 
+TEST(CheckStation, KnownDistancesOfAGivenPriorAreFigures) {
+  Station station = scaled_station();
+  station.file.scale_bars.emplace_back().distance = 20;
+  station.file.scale_bars.back().check = true;
+  station.file.scale_errors.push_back(-0.5);
+  const Json scale = scale_json(station.file);
+  EXPECT_EQ(scale.at("scale").get<double>(), 2);
+  const Json &used = scale.at("distances").at(0), &held_out = scale.at("distances").at(1);
+  EXPECT_FALSE(used.at("check").get<bool>());
+  EXPECT_EQ(used.at("adjusted").get<double>(), 10 + 0.001);
+  EXPECT_TRUE(held_out.at("check").get<bool>());
+  EXPECT_EQ(held_out.at("residual").get<double>(), -0.5);
+  station.file.scale_errors.clear();
+  EXPECT_TRUE(scale_json(station.file).is_null());
+}
+
 TEST(CheckStation, ADistanceMetUpToRoundingIsOffByZero) {
   Station station = scaled_station();
   station.prior = cloud_of(station);

@@ -159,6 +159,30 @@ TEST_F(StationInputsTest, LabelsInMemoryChangeItsValues) {
   EXPECT_NE(json(&StationInputs::optics), diffuse);
 }
 
+TEST_F(StationInputsTest, FilesThatPythonReadsAreRecorded) {
+  station_.developed_from = {folder_ / "b.png"};
+  EXPECT_EQ(of(&StationInputs::polarized).hashes.at("b.png"), sha256_of_bytes("b.png"));
+
+  PointCloud cloud;
+  cloud.points = {{1, 2, 3}};
+  station_.prior = cloud;
+  EXPECT_EQ(of(&StationInputs::prior).hashes.count("cloud.ply"), 0u);
+  station_.file.prior = CloudFile{folder_ / "cloud.ply"};
+  const auto scan = of(&StationInputs::prior);
+  EXPECT_EQ(scan.hashes.at("cloud.ply"), sha256_of_bytes("cloud.ply"));
+  folder_.write("cloud.ply", "other");
+  EXPECT_NE(json(&StationInputs::prior), scan.parts);
+
+  station_.file.prior.reset();
+  station_.file.photos.emplace().folder = folder_ / "views";
+  station_.photogrammetry = Photogrammetry{R"({"photogrammetry": {"files": {"a.jpg": "12ab"}}})", "{}", {}};
+  station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}), {}};
+  const auto swept = of(&StationInputs::prior);
+  EXPECT_EQ(swept.hashes.at("views/a.jpg"), "12ab");
+  station_.photogrammetry->figures_json = "{}";
+  EXPECT_NE(json(&StationInputs::prior), swept.parts);
+}
+
 TEST_F(StationInputsTest, FilesThatChangeDuringARunAreRefused) {
   station_.prior = CloudFile{folder_ / "cloud.ply"};
   StationInputs inputs(station_, reference_, context_);
@@ -175,6 +199,16 @@ TEST_F(StationInputsTest, NamesOfControlPointsChangeOnlyTheValuesOfRegions) {
   station_.file.control[0].name = "B";
   EXPECT_EQ(json(&StationInputs::prior), prior);
   EXPECT_NE(json(&StationInputs::regions), regions);
+}
+
+TEST_F(StationInputsTest, KnownDistancesOfAPriorChangeTheValuesOfRegions) {
+  const Json without = json(&StationInputs::regions);
+  station_.file.scale_bars.emplace_back().distance = 10;
+  station_.file.scale_errors = {0.01};
+  const Json with = json(&StationInputs::regions);
+  EXPECT_NE(with, without);
+  station_.file.scale_errors = {0.02};
+  EXPECT_NE(json(&StationInputs::regions), with);
 }
 
 TEST_F(StationInputsTest, ReferenceAndPhotogrammetryChangeTheValuesOfTheComparison) {
