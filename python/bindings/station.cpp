@@ -262,18 +262,19 @@ void bind_workspace(py::module_& module) {
 }
 
 void bind_check(py::module_& module) {
-  module.def(
-      "expected_times", [](const Station& station, const Options& options, const std::optional<std::string>& until,
-                           const std::optional<std::pair<int, int>>& width_height, int threads) {
-        std::optional<Size> size;
-        if (width_height) size = Size{width_height->first, width_height->second};
-        // It reads the mask, and of the images the size.
-        const std::vector<ExpectedTime> found = computed(
-            threads, [&](const Context& context) { return expected_times(station, options, {until, size}, context); });
-        py::list times;
-        for (const ExpectedTime& time : found) times.append(py::make_tuple(time.step, time.seconds));
-        return times;
-      });
+  module.def("expected_times",
+             [](const Station& station, const Options& options, const std::optional<std::string>& until,
+                const std::optional<std::pair<int, int>>& width_height, int threads) {
+               std::optional<Size> size;
+               if (width_height) size = Size{width_height->first, width_height->second};
+               // It reads the mask, and of the images the size.
+               const std::vector<ExpectedTime> found = computed(threads, [&](const Context& context) {
+                 return expected_times(station, options, {until, size}, context);
+               });
+               py::list times;
+               for (const ExpectedTime& time : found) times.append(py::make_tuple(time.step, time.seconds));
+               return times;
+             });
 
   module.def("check", [](const Station& station, const Options& options, int threads) {
     return computed(threads,
