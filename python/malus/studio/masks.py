@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngImageFile
 import malus
 from malus import _core
 from malus._extra import extra
-from malus._files import write_bytes
+from malus._files import read_regular, write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
 from malus.options import Options
@@ -64,7 +64,7 @@ def write(path: Path, values: Bytes, *, may_replace: bool) -> Path:
     """Write a mask or label image as PNG and return its path: `path`, or a numbered one if another image would be overwritten."""
     content = encode(values, "PNG")
     place, count = path, 1
-    while not may_replace and place.exists() and place.read_bytes() != content:
+    while not may_replace and place.exists() and read_regular(place) != content:
         count += 1
         place = path.with_stem(f"{path.stem}_{count}")
     write_bytes(place, content)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -63,16 +62,21 @@ def station_of(root: Root, folder: Path) -> str | None:
 
 
 def summary(root: Root, folder: Path) -> dict[str, Any]:
-    """The figures of a result for the list of results; `problem` if the result is not finished."""
+    """The figures of a result for the list of results; `problem` if the result is not finished, or not of this version of Malus."""
     try:
-        workspace = Workspace(folder)
-        quality = workspace.quality
-    except (MalusError, json.JSONDecodeError) as error:
+        return _figures(root, Workspace(folder))
+    except MalusError as error:
         return {"problem": str(error)}
+    except (KeyError, ValueError, TypeError, AttributeError, OSError) as error:  # it must not hide the other results
+        return {"problem": f"its figures cannot be shown ({type(error).__name__}: {error}); run the station again"}
+
+
+def _figures(root: Root, workspace: Workspace) -> dict[str, Any]:
+    quality = workspace.quality
     keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
     return {
         **{key: quality[key] for key in keys},
-        "station": station_of(root, folder),
+        "station": station_of(root, workspace.folder),
         "coverage": quality["coverage"]["fraction"],
         "sigma_gsd": quality["sigma"]["median_gsd"] if quality["sigma"] else None,
         "report": workspace.has("report/index.html"),
