@@ -83,7 +83,8 @@ def as_ply(path: Path, unit: str, folder: Path) -> Path:
 def _read_las(library: Any, path: Path) -> Cloud:
     _require_possible_records(path)
     names = _NORMALS[".las"]
-    points, normals = [np.empty((0, 3))], [np.empty((0, 3), np.float32)]
+    points: list[NDArray[np.float64]] = [np.empty((0, 3))]
+    normals: list[NDArray[np.float32]] = [np.empty((0, 3), np.float32)]
     # Not the backend laszip, which laspy would try next: for a file that is cut short it ends the process.
     backends = (library.LazBackend.LazrsParallel, library.LazBackend.Lazrs)
     with library.open(str(path), laz_backend=backends) as reader:
