@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from malus._extra import extra
 from malus._files import open_regular
+from malus._laz import fields_of
 from malus.errors import ExternalError, InputError
 from malus.units import METERS
 
@@ -24,7 +25,7 @@ _E57_PLACES = (
     ("cartesianX", "cartesianY", "cartesianZ", "cartesianInvalidState"),
     ("sphericalRange", "sphericalAzimuth", "sphericalElevation", "sphericalInvalidState"),
 )
-#: Points of a LAS file that are decoded at a time.
+#: Points of a LAS file that are read at a time.
 _AT_ONCE = 1_000_000
 #: Least share of its length that a point takes in a LAZ file. A flat grid without color takes 4e-4.
 _LEAST_COMPRESSED = 1e-4
@@ -82,22 +83,21 @@ def as_ply(path: Path, unit: str, folder: Path) -> Path:
 
 def _read_las(library: Any, path: Path) -> Cloud:
     _require_possible_records(path)
-    names = _NORMALS[".las"]
-    points: list[NDArray[np.float64]] = [np.empty((0, 3))]
-    normals: list[NDArray[np.float32]] = [np.empty((0, 3), np.float32)]
-    # Not the backend laszip, which laspy would try next: for a file that is cut short it ends the process.
-    backends = (library.LazBackend.LazrsParallel, library.LazBackend.Lazrs)
-    with library.open(str(path), laz_backend=backends) as reader:
-        if reader.header.are_points_compressed:
-            _require_same_length(reader.header)
-        has_normals = set(names) <= set(reader.header.point_format.dimension_names)
-        for some in reader.chunk_iterator(_AT_ONCE):
-            points.append(np.stack([np.asarray(some[axis], np.float64) for axis in "xyz"], axis=1))
-            if has_normals:
-                normals.append(np.stack([np.asarray(some[name], np.float32) for name in names], axis=1))
-        cloud = np.concatenate(points)
-        _require_all(len(cloud), reader.header.point_count)
-    return cloud, np.concatenate(normals) if has_normals else None
+    with library.open(str(path)) as reader:
+        header = reader.header
+        has_normals = set(_NORMALS[".las"]) <= set(header.point_format.dimension_names)
+        names = [*"xyz", *(_NORMALS[".las"] if has_normals else ())]
+        if header.are_points_compressed:
+            _require_same_length(header)
+            table = fields_of(path, names)
+        else:
+            parts = [
+                np.stack([np.asarray(some[name]) for name in names], axis=1) for some in reader.chunk_iterator(_AT_ONCE)
+            ]
+            table = np.concatenate([np.empty((0, len(names))), *parts])
+    _require_all(len(table), header.point_count)
+    normals = table[:, 3:].astype(np.float32) if has_normals else None
+    return np.ascontiguousarray(table[:, :3]), normals
 
 
 def _require_all(found: int, counted: int) -> None:

@@ -265,6 +265,21 @@ def test_laz_headers_that_ask_for_memory_are_refused(tmp_path: Path) -> None:
         read_scan(path, "mm")
 
 
+def test_a_laz_file_that_ends_its_decoder_is_refused(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    """Its table counts billions of parts: the decoder asked for that memory and ended the process, with signal 6."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / "cloud.laz"
+    write_las(path, *cloud)
+    whole = bytearray(path.read_bytes())
+    start = int.from_bytes(whole[96:100], "little")  # of the points, before which the place of the table stands
+    table = int.from_bytes(whole[start : start + 8], "little")
+    whole[table + 4 : table + 8] = b"\xff\xff\xff\xff"
+    path.write_bytes(whole)
+    with pytest.raises(malus.InputError, match=r"cloud\.laz"):
+        read_scan(path, "mm")
+
+
 def test_points_that_are_not_finite_are_refused(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
     """As in PLY and text. The message names the user's file, not one that was made of it."""
     pytest.importorskip("pye57")

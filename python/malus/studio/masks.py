@@ -37,13 +37,12 @@ def decode(content: bytes, size: tuple[int, int]) -> Bytes:
     try:
         # Not Image.open, which refuses images of more than 179 megapixels; nothing is decoded before the size is known.
         with PngImageFile(io.BytesIO(content)) as image:
-            if image.size != size:
-                raise InputError(
-                    f"the mask is {image.width} x {image.height} pixels, expected {size[0]} x {size[1]} as the images"
-                )
-            return np.array(image.convert("RGBA").getchannel("R"))
-    except (OSError, SyntaxError) as error:
+            width, height = image.size
+            if image.size == size:
+                return np.array(image.convert("RGBA").getchannel("R"))
+    except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"the mask is no PNG image ({error})") from None
+    raise InputError(f"the mask is {width} x {height} pixels, expected {size[0]} x {size[1]} as the images")
 
 
 def read(path: Path, kind: str = "mask") -> bytes:
