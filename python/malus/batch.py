@@ -22,7 +22,7 @@ from typing import Any
 
 from malus import _core
 from malus._extra import extra
-from malus._files import read_record, remove_unfinished, write_record, write_text
+from malus._files import read_record, read_regular, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
 from malus.options import Options
@@ -314,9 +314,15 @@ def _has_results(task: Task) -> bool:
 
 
 def _manifest(task: Task) -> str | None:
-    """SHA-256 of the manifest of a station's results; None without one."""
-    path = task.workspace / "manifest.json"
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    """SHA-256 of the manifest of a station's results, without its times; None without one, or if it cannot be read. Of two equal runs
+    it is the same, and so are the records of an object that is made of them.
+    """
+    try:
+        manifest = json.loads(read_regular(task.workspace / "manifest.json"))
+        del manifest["times"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:

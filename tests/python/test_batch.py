@@ -21,6 +21,7 @@ import pytest
 import malus.batch
 from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
+from malus._files import read_record
 from malus.campaign import Campaign, Task
 from malus.options import Options
 
@@ -122,6 +123,12 @@ def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
     assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
+    one, other = (
+        [read_record(path) or {} for path in sorted((tmp_path / name / "done").glob("*.json"))]
+        for name in ("shards", "serial")
+    )
+    # An object's quality.json has them in its key, and must be the same for the same inputs.
+    assert [marker["manifest"] for marker in one] == [marker["manifest"] for marker in other] and len(one) == 3
 
 
 def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
