@@ -22,7 +22,7 @@ from typing import Any
 
 from malus import _core
 from malus._extra import extra
-from malus._files import read_record, read_regular, remove_unfinished, write_record, write_text
+from malus._files import UNTIL_LEFT_S, read_record, read_regular, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
 from malus.options import Options
@@ -101,7 +101,7 @@ def run_campaign(
     if shard is not None:
         checked_shard(*shard, "shard")
     for folder in (Path(output), Path(output) / "done"):
-        remove_unfinished(folder, older_than_s=3600)
+        remove_unfinished(folder, older_than_s=UNTIL_LEFT_S)
     tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs), cameras)
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
