@@ -335,21 +335,18 @@ def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path
 
 
 def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: Path, tmp_path: Path) -> None:
-    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("laspy")
     pytest.importorskip("rocrate")
     cloud = small_station.parent / "cloud.las"
     vertices = malus._core.read_points(str(small_station.parent / "dense/cloud.ply"))
-    scan = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    scan.header.offsets, scan.header.scales = vertices.mean(0), [1e-4] * 3
-    scan.x, scan.y, scan.z = vertices.T
-    scan.write(cloud)
+    unknown = np.zeros_like(vertices)
+    write_las(cloud, vertices, unknown)
     edit(small_station, "dense/cloud.ply", "cloud.las")
     work = tmp_path / "work"
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive")) as file:
         assert file.read("small/data/inputs/cloud.las") == cloud.read_bytes()
-    moved = laspy.read(cloud)
-    moved.X[0] += 1
-    moved.write(cloud)
-    with pytest.raises(malus.InputError, match=r"cloud\.las: was changed since"):
-        malus.export(work, "archive")
+    for points, normals in ((vertices + [1e-3, 0, 0], unknown), (vertices, unknown + [0, 0, 1])):
+        write_las(cloud, points, normals)
+        with pytest.raises(malus.InputError, match=r"cloud\.las: was changed since"):
+            malus.export(work, "archive")
