@@ -21,6 +21,8 @@ from typing import Any
 
 from malus.errors import InputError, ResourceError
 
+#: Most bytes of a name that is made of others; file systems have 255, of which a name that is being written takes 30 more.
+_LONGEST_NAME = 200
 #: Age in seconds from which an unfinished file in a folder that several programs write to is taken to be left by one that was killed.
 UNTIL_LEFT_S = 3600
 #: Age in seconds from which an unlocked scratch folder is taken to be left by a writer that was killed.
@@ -47,6 +49,14 @@ def is_utf8(name: str) -> bool:
 def as_text(name: str) -> str:
     """The name of a file as readable ASCII text, with all other bytes as escape sequences."""
     return os.fsencode(name).decode("ascii", "backslashreplace")
+
+
+def shortened(name: str) -> str:
+    """A name for a file or folder; one that is too long for file systems as its start and a hash of the whole."""
+    whole = name.encode()
+    if len(whole) <= _LONGEST_NAME:
+        return name
+    return f"{whole[: _LONGEST_NAME - 17].decode(errors='ignore')}_{hashlib.sha256(whole).hexdigest()[:16]}"
 
 
 def natural(name: str) -> list[tuple[int, str]]:
