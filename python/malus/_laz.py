@@ -46,7 +46,7 @@ def _decode(path: str, names: list[str]) -> None:
 if __name__ == "__main__":
     try:
         _decode(sys.argv[1], sys.argv[2:])
-    except MemoryError:
+    except (MemoryError, ImportError):  # the process that asks has the libraries: here was no room for them
         sys.exit(_NO_MEMORY)
     except Exception as error:  # whatever a damaged file causes
         sys.exit(str(error))

@@ -97,7 +97,7 @@ def _read_las(library: Any, path: Path) -> Cloud:
             table = np.concatenate([np.empty((0, len(names))), *parts])
     _require_all(len(table), header.point_count)
     normals = table[:, 3:].astype(np.float32) if has_normals else None
-    return np.ascontiguousarray(table[:, :3]), normals
+    return np.array(table[:, :3]), normals
 
 
 def _require_all(found: int, counted: int) -> None:
