@@ -845,6 +845,10 @@ def test_exports_of_an_earlier_surface_are_reported(
     malus.export(work, "obj")
     again = malus_here(*run, "--set", "prior.smoothing_px=4").err
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again
+    # A record that a full disk or another program spoiled must not end runs.
+    for spoiled in (b"", b"[1", b"[1]", b'{"a": 1}'):
+        (work / "export/made_from.json").write_bytes(spoiled)
+        assert _core.overtaken_exports(str(work)) == [], spoiled
 
 
 def test_exports_that_end_at_once_are_all_recorded(
