@@ -21,6 +21,10 @@ from typing import Any
 
 from malus.errors import InputError, ResourceError
 
+#: Most bytes of a name that is made of others; file systems have 255, of which a name that is being written takes 30 more.
+_LONGEST_NAME = 200
+#: Age in seconds from which an unfinished file in a folder that several programs write to is taken to be left by one that was killed.
+UNTIL_LEFT_S = 3600
 #: Age in seconds from which an unlocked scratch folder is taken to be left by a writer that was killed.
 _UNTIL_HELD_S = 60
 _OUT_OF_SOMETHING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EFBIG)
@@ -45,6 +49,14 @@ def is_utf8(name: str) -> bool:
 def as_text(name: str) -> str:
     """The name of a file as readable ASCII text, with all other bytes as escape sequences."""
     return os.fsencode(name).decode("ascii", "backslashreplace")
+
+
+def shortened(name: str) -> str:
+    """A name for a file or folder; one that is too long for file systems as its start and a hash of the whole."""
+    whole = name.encode()
+    if len(whole) <= _LONGEST_NAME:
+        return name
+    return f"{whole[: _LONGEST_NAME - 17].decode(errors='ignore')}_{hashlib.sha256(whole).hexdigest()[:16]}"
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -209,11 +221,11 @@ def _checksum(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def remove_unfinished(folder: Path, *, older_than_s: float) -> None:
-    """Remove the unfinished files of killed runs from a folder. Files younger than `older_than_s` stay, because other runs may
-    be writing them now.
+def remove_unfinished(folder: Path, *, older_than_s: float, start: str = "") -> None:
+    """Remove the unfinished files of killed runs from a folder, those whose finished names begin with `start`. Files younger than
+    `older_than_s` stay, because other runs may be writing them now.
     """
-    for path in folder.glob(".*.partial-*"):
+    for path in folder.glob(f".{glob.escape(start)}*.partial-*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > older_than_s:
                 path.unlink()

@@ -97,8 +97,9 @@ def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
     for path in map(Path, says["files"]):
         _require_there(path)
         if is_scan(path):
-            points = hashlib.sha256(read_scan(path, says["unit"])[0].tobytes()).hexdigest()
-            is_as_read = points == inputs.get("prior points")
+            points, normals = read_scan(path, says["unit"])
+            read = {"prior points": points.tobytes(), "prior normals": b"" if normals is None else normals.tobytes()}
+            is_as_read = all(hashlib.sha256(content).hexdigest() == inputs.get(name) for name, content in read.items())
         elif is_raw(path):
             is_as_read = any(name.startswith(name_of(path, path.read_bytes())) for name in developed)
         else:

@@ -20,7 +20,7 @@ from typing import Any
 
 from malus import _core
 from malus._extra import extra
-from malus._files import read_record, remove_unfinished, write_record, write_text
+from malus._files import UNTIL_LEFT_S, read_record, read_regular, remove_unfinished, write_record, write_text
 from malus.campaign import Campaign, Task
 from malus.columns import csv_text
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
@@ -99,7 +99,7 @@ def run_campaign(
     if shard is not None:
         checked_shard(*shard, "shard")
     for folder in (Path(output), Path(output) / "done"):
-        remove_unfinished(folder, older_than_s=3600)
+        remove_unfinished(folder, older_than_s=UNTIL_LEFT_S)
     tasks = campaign.tasks(output, threads or max(1, ALL_CORES // jobs), cameras)
     mine = tasks if shard is None else tasks[shard[0] - 1 :: shard[1]]
     open_tasks = [task for task in mine if _marker(task).get("status") != "done"]
@@ -312,9 +312,15 @@ def _has_results(task: Task) -> bool:
 
 
 def _manifest(task: Task) -> str | None:
-    """SHA-256 of the manifest of a station's results; None without one."""
-    path = task.workspace / "manifest.json"
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    """SHA-256 of the manifest of a station's results, without its times; None without one, or if it cannot be read. Of two equal runs
+    it is the same, and so are the records of an object that is made of them.
+    """
+    try:
+        manifest = json.loads(read_regular(task.workspace / "manifest.json"))
+        del manifest["times"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from malus import _core
-from malus._files import resolved
+from malus._files import resolved, shortened
 from malus._patterns import MOST_NAMES, matching
 from malus._toml import read_toml
 from malus.errors import InputError, MalusError
@@ -137,7 +137,7 @@ class Campaign:
         ]
         identifiers: list[str] = []
         like: Counter[str] = Counter()  # by name: identifiers that are this name, or this name with a number
-        for name in (re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station" for name in names):
+        for name in (shortened(re.sub(r"[^\w.-]+", "-", name).strip(".-") or "station") for name in names):
             count = like[name.casefold()]
             identifier = name if count == 0 else f"{name}-{count + 1}"
             identifiers.append(identifier)

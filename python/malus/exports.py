@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from malus import _core, archive, drawings, exported
 from malus._extra import extra
-from malus._files import replacing, write_bytes, write_text, writing
+from malus._files import UNTIL_LEFT_S, remove_unfinished, replacing, write_bytes, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
@@ -583,6 +583,7 @@ def export(
         correction = None if chart is None else ColorCorrection.load(chart)
         exporter = Exporter(Workspace(folder), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
         with writing(path):
+            remove_unfinished(path.parent, older_than_s=UNTIL_LEFT_S, start=path.stem)
             write(exporter, path, Wishes(faces, interval, y_up, url))
             _keep_if_unchanged(path, exporter.workspace, files_beside(format, path))
             exported.note(exporter.workspace, path)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import write_text
+from malus._files import sha256_of, write_text
 from malus._robust import distance_figures
 from malus.columns import number
 from malus.errors import DataError, InputError
@@ -134,6 +135,16 @@ def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: f
     }
 
 
+def _require_as_assessed(workspace: Workspace, reference: Path) -> None:
+    """InputError for a reference that was changed since `malus assess` compared it: the alignment that it found is of the earlier one."""
+    known = workspace.manifest["steps"]["assess"]["inputs"]
+    # The manifest names files relative to the station file, if both paths are absolute.
+    station = workspace.manifest["station"].get("file")
+    names = [str(reference), *([os.path.relpath(reference, Path(station).parent)] if station else [])]
+    if any(name in known and known[name] != sha256_of(reference) for name in names):
+        raise InputError(f"{reference}: was changed since `malus assess` compared the surface with it; run that again")
+
+
 def compare(work: str | Path, reference: str | Path, *, radius: float | None = None) -> dict[str, Any]:
     """Compare the fused surface of a workspace with a scan; writes WORK/m3c2.json and WORK/fused/m3c2_distance.tif.
 
@@ -141,7 +152,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     `radius`: of the cylinders, in the station's unit; by default a cylinder holds about 25 points of the sparser cloud. The map (H×W,
     station unit, NaN = not compared) is positive where the surface lies in front of the reference. Returns the content of m3c2.json.
 
-    Raises malus.InputError, DataError if no part of the reference is near the surface, ExternalError without py4dgeo.
+    Raises malus.InputError, also for a reference that was changed since `malus assess` read it, DataError if no part of the reference is near the surface, ExternalError without py4dgeo.
     """
     py4dgeo()  # fail before anything is read if the package is missing
     if radius is not None and not radius > 0:
@@ -149,6 +160,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     watch, workspace = _core.StepWatch(), Workspace(work)
     gsd = float(workspace.quality["gsd"])
     scan = _core.read_points(str(reference))
+    _require_as_assessed(workspace, Path(reference))
     grid = _aligned(workspace.points(), workspace.quality["reference"])
     known: NDArray[np.bool_] = np.asarray(np.isfinite(grid).all(-1))
     step = thinning(int(known.sum()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -17,7 +17,7 @@ from malus import _core
 from malus._core import FusedSurface
 from malus._files import sha256_of
 from malus.camera import Camera
-from malus.errors import InputError
+from malus.errors import InputError, MalusError
 from malus.options import Options
 
 Raster = NDArray[np.float32]
@@ -153,6 +153,9 @@ class Workspace:
                 raise InputError(f"{self.folder}: was changed by another run meanwhile; run again")
             _core.record_step(str(self.folder), step, files, watch.stop())
         except BaseException:
+            # Another program may have recorded the step meanwhile, with files of these names: its record must not stay without them.
+            with suppress(MalusError):
+                _core.forget_step(str(self.folder), step)
             for name in files:
                 (self.folder / name).unlink(missing_ok=True)
             raise

@@ -207,6 +207,11 @@ class Attack:
             ]
             wrong = sorted(name for name in done if now.get(name) != self.expected.get(name))
             self.expect(not wrong, f"{after}: {', '.join(wrong)} are not what {manifest} says is done")
+        quality = work / "object" / "quality.json"
+        if quality.exists():
+            files = json.loads(quality.read_text(encoding="utf-8"))["files"]
+            wrong = sorted(name for name in files if now.get(f"object/{name}") != self.expected.get(f"object/{name}"))
+            self.expect(not wrong, f"{after}: {', '.join(wrong)} are not what {quality} says is done")
 
     def refused(self, work: Path, what: str, codes: tuple[int, ...], before: Callable[[], None] | None = None) -> None:
         """Run: it must end with one of these codes or 0. A result that looks finished must be that of the undisturbed run."""
@@ -403,6 +408,16 @@ def attack_on_photos(folder: Path) -> Attack:
     return Attack("photos", folder, lambda work: [*run, "-o", str(work)], repeatable=False)
 
 
+def attack_on_object(folder: Path) -> Attack:
+    """Two stations and the surface of both. Its record must be that of its files, whenever it is there."""
+    for k in range(2):
+        tiny_station(folder / "parts" / f"o{k}", seed=k)
+    file = folder / "object.toml"
+    file.write_text('[object]\nstations = ["parts/o*/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n')
+    run = [sys.executable, "-m", "malus.cli", "object", str(file), *QUIET]
+    return Attack("object", folder, lambda work: [*run, "-o", str(work)])
+
+
 def killed_beside_others(batch: Attack, chance: random.Random) -> None:
     """Kill one of two shards of a campaign, or one program of a Dask cluster, while the other programs go on."""
     whole = batch.command(Path("WORK"))
@@ -450,15 +465,18 @@ def main() -> int:
     parser = parser_of_attack(__doc__)
     parser.add_argument("--kills", type=int, help="only kills, so many in all, however long they take")
     parser.add_argument("--photos", action="store_true", help="only runs from photographs, which take minutes each")
+    parser.add_argument("--object", action="store_true", help="only runs of an object of two stations")
     arguments = parser.parse_args()
     end = time.monotonic() + arguments.seconds
     folder = arguments.folder.resolve()
     if arguments.photos:
         attacks = {"photos": attack_on_photos(folder / "photos")}
+    elif arguments.object:
+        attacks = {"object": attack_on_object(folder / "object")}
     else:
         attacks = attacks_on(arguments.program.resolve(), folder)
     chance = random.Random(arguments.seed)
-    once = [] if arguments.kills or arguments.photos else disturbances(attacks["grid"])
+    once = [] if arguments.kills or arguments.photos or arguments.object else disturbances(attacks["grid"])
     chance.shuffle(once)
     kills = told = 0
     while kills < arguments.kills if arguments.kills else time.monotonic() < end:

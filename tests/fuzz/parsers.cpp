@@ -15,6 +15,7 @@
 #include <string_view>
 #include <vector>
 
+#include "malus/capture/response_internal.h"
 #include "malus/core/error.h"
 #include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
@@ -110,19 +111,33 @@ void read_images(std::string_view input) {
   }
 }
 
-void read_station(std::string_view input) {
+/// Writes the files that the seeds of station files and object files name, once.
+void require_inputs() {
   static const bool has_inputs = [] {
-    fs::create_directories(folder() / "pol");
-    for (const char* name : {"pol/pol_000.png", "pol/pol_060.png", "pol/pol_120.png", "mask.png"})
+    for (const char* name : {"pol", "views", "masks"}) fs::create_directories(folder() / name);
+    for (const char* name : {"pol/pol_000.png", "pol/pol_060.png", "pol/pol_120.png", "mask.png", "views/a.png",
+                             "views/b.png", "masks/a.png", "masks/b.png"})
       write_png(folder() / name, Image<std::uint8_t>({8, 6}, 1, 255));
+    write("response.txt", "0 0\n255 1\n");
     write("cloud.ply",
           "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
           "end_header\n0 0 1\n");
     return true;
   }();
   static_cast<void>(has_inputs);
+}
+
+void read_station(std::string_view input) {
+  require_inputs();
   const fs::path path = write("station.toml", input);
   attempt([&] { read_station_file(path); });
+}
+
+/// The tables of an object file that are as in a station file.
+void read_photos(std::string_view input) {
+  require_inputs();
+  const fs::path path = write("object.toml", input);
+  attempt([&] { read_photos_tables(path); });
 }
 
 /// The input is a pattern and names to try it on.
@@ -152,6 +167,8 @@ constexpr std::array targets{
     Target{"toml",
            [](std::string_view input) { attempt([&] { read_toml_as_json(write("o.toml", input), "options file"); }); }},
     Target{"station", read_station},
+    Target{"photos", read_photos},
+    Target{"response", [](std::string_view input) { attempt([&] { read_response_table(write("r.txt", input)); }); }},
     Target{"colmap_text", [](std::string_view input) { read_colmap(input, ".txt"); }},
     Target{"colmap_binary", [](std::string_view input) { read_colmap(input, ".bin"); }},
     Target{"colmap_map", [](std::string_view input) { attempt([&] { read_colmap_array(write("map.bin", input)); }); }},

@@ -1,5 +1,5 @@
 """Fuzzes Python's readers of users' files with atheris: EXIF, RAW, LAS, E57, tables and notes beside images, cameras of
-Metashape.
+Metashape, object files, and what Studio's page sends.
 
     parsers.py TARGET [CORPUS] [libFuzzer's options]
 
@@ -15,10 +15,18 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["malus", "PIL", "laspy", "pye57"]):
+with atheris.instrument_imports(include=["malus", "PIL", "laspy", "pye57", "tomlkit"]):
     from malus import _files, campaign, exif, raw, scans, station_import
     from malus.errors import MalusError
+    from malus.object import Object
     from malus.photogrammetry import metashape
+    from malus.studio import masks
+    from malus.studio.document import StationDocument
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "python"))
+from stations import write_inputs
+
+from e57_pages import as_file
 
 FOLDER = Path(tempfile.mkdtemp(prefix="malus-fuzz-", dir="/dev/shm"))
 
@@ -29,15 +37,27 @@ def _written(name: str, data: bytes) -> Path:
     return path
 
 
+def _edited(document: StationDocument) -> str:
+    """A station file as Studio's page changes it."""
+    document.set("camera", "params", [1.0, 2.0])
+    document.set_list("scale", [{"distance": 2.0}, {"check": True}])
+    assert document.values is not None
+    return document.text
+
+
 #: Target → reader.
 TARGETS: dict[str, Callable[[bytes], object]] = {
     "exif": lambda data: exif.tags_of(_written("image", data)),
     "raw": lambda data: raw.linear_image(_written("image.dng", data), data),
     "las": lambda data: scans.read_scan(_written("cloud.las", data), "mm"),
-    "e57": lambda data: scans.read_scan(_written("cloud.e57", data), "mm"),
+    # The input is the file without its checksums, which no fuzzer could keep right.
+    "e57": lambda data: scans.read_scan(_written("cloud.e57", as_file(data)), "mm"),
     "table": lambda data: station_import._rows_of(_written("table.csv", data)),
     "sidecar": lambda data: (_written("image.json", data), station_import._shots_of_sidecars(FOLDER)),
     "metashape": lambda data: metashape.read_metashape(_written("cameras.xml", data)),
+    "object": lambda data: Object.load(_written("object.toml", data)),
+    "document": lambda data: _edited(StationDocument.read(_written("edited.toml", data))),
+    "painted": lambda data: masks.decode(data, (8, 6)),
     "campaign": lambda data: campaign.Campaign.load(_written("campaign.toml", data)),
     "record": lambda data: _files.read_record(_written("record.json", data)),
 }
@@ -46,6 +66,7 @@ TARGETS: dict[str, Callable[[bytes], object]] = {
 def main() -> None:
     """Fuzz the target that the command line names."""
     read = TARGETS[sys.argv.pop(1)]
+    write_inputs(FOLDER)
 
     def one_input(data: bytes) -> None:
         try:

@@ -21,6 +21,7 @@ import pytest
 import malus.batch
 from conftest import edit, half_written, needs_distributed
 from conftest import malus as run_malus
+from malus._files import read_record, write_record
 from malus.campaign import Campaign, Task
 from malus.options import Options
 
@@ -122,6 +123,12 @@ def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
     assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
+    one, other = (
+        [read_record(path) or {} for path in sorted((tmp_path / name / "done").glob("*.json"))]
+        for name in ("shards", "serial")
+    )
+    # An object's quality.json has them in its key, and must be the same for the same inputs.
+    assert [marker["manifest"] for marker in one] == [marker["manifest"] for marker in other] and len(one) == 3
 
 
 def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
@@ -314,6 +321,17 @@ def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, argument
     outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)
     assert outcome.code == 2
     assert arguments[0] in outcome.err
+
+
+def test_long_names_of_folders_leave_room_for_their_markers(tmp_path: Path) -> None:
+    """The marker could not be written, and one such station ended the whole campaign."""
+    names = ["ä" * 120 + end for end in "ab"] + ["c" * 250]
+    files = tuple(tmp_path / name / "station.toml" for name in names)
+    tasks = Campaign("long", files, Options(), False).tasks(tmp_path / "out", 1)
+    assert len({task.identifier for task in tasks}) == 3 and tasks[2].identifier.startswith("ccc")
+    for task in tasks:
+        write_record(task.marker, {})
+        assert read_record(task.marker) == {}
 
 
 def test_stations_with_the_same_folder_name_stay_apart(tiny_station_source: Path, tmp_path: Path) -> None:

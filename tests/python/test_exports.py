@@ -770,6 +770,16 @@ def test_rti_shades_like_the_normals(workspace: malus.Workspace, tmp_path: Path)
         assert np.corrcoef(shaded.ravel(), expected.ravel())[0, 1] > 0.97
 
 
+def test_what_a_killed_export_had_begun_is_removed_by_the_next(finished_grid: Path, tmp_path: Path) -> None:
+    old, young, of_others = (tmp_path / f".{name}.partial-0a1b.tif" for name in ("a", "a.2", "b"))
+    for path in (old, young, of_others):
+        path.write_bytes(b"half")
+    for path in (old, of_others):
+        os.utime(path, (0, 0))
+    malus.export(finished_grid, "dem", tmp_path / "a.tif")
+    assert set(tmp_path.iterdir()) == {tmp_path / "a.tif", young, of_others}
+
+
 def test_dem_export_equals_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
     rasterio = pytest.importorskip("rasterio")
@@ -835,6 +845,10 @@ def test_exports_of_an_earlier_surface_are_reported(
     malus.export(work, "obj")
     again = malus_here(*run, "--set", "prior.smoothing_px=4").err
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again
+    # A record that a full disk or another program spoiled must not end runs.
+    for spoiled in (b"", b"[1", b"[1]", b'{"a": 1}'):
+        (work / "export/made_from.json").write_bytes(spoiled)
+        assert _core.overtaken_exports(str(work)) == [], spoiled
 
 
 def test_exports_that_end_at_once_are_all_recorded(

@@ -73,6 +73,19 @@ def test_a_scan_elsewhere_is_refused(work: Path, tmp_path: Path) -> None:
     assert not (work / "m3c2.json").exists()
 
 
+@uses_py4dgeo
+def test_a_scan_that_was_changed_since_it_was_assessed_is_refused(work: Path, tmp_path: Path) -> None:
+    """Its distances would be those of one scan in the place of another."""
+    pytest.importorskip("py4dgeo")
+    scan = scan_behind(work, 0.2, tmp_path / "scan.xyz")
+    station = malus.Workspace(work).manifest["station"]["file"]
+    assert malus_here("assess", station, "-o", work, "--fusion", "grid", "--reference", scan, "--quiet").code == 0
+    m3c2.compare(work, scan)
+    scan_behind(work, 0.3, scan)
+    with pytest.raises(malus.InputError, match="was changed since"):
+        m3c2.compare(work, scan)
+
+
 @pytest.mark.parametrize("step", [1, 2, 3, 10])
 def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
     """Maps and changed parts of large stations lay up to half a block right of and below their place (4.5 pixels of 18 megapixels)."""

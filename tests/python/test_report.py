@@ -636,6 +636,22 @@ def test_a_page_whose_surface_changed_meanwhile_is_not_kept(work: Path, tmp_path
     assert "report" not in malus.Workspace(folder).manifest["steps"]
 
 
+def test_a_page_that_fails_beside_another_leaves_no_record_without_files(work: Path, tmp_path: Path) -> None:
+    """Two programs make the page at once: the one that failed removed the files that the other one had recorded."""
+    folder = shutil.copytree(work, tmp_path / "work")
+    with (
+        pytest.raises(RuntimeError, match="no room"),
+        malus.Workspace(folder).recording("report") as files,
+    ):
+        files.append("report/index.html")
+        with malus.Workspace(folder).recording("report") as others:
+            (folder / "report/index.html").write_text("of the other program")
+            others.append("report/index.html")
+        raise RuntimeError("no room")
+    assert not malus.Workspace(folder).has("report/index.html")
+    assert not (folder / "report/index.html").exists()
+
+
 def test_view_opens_the_page(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import sys
 import zipfile
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 import malus
 from conftest import edit, malus_here, malus_station
 from conftest import malus as run_malus
+from e57_pages import as_file, content_of
 from malus import _core
 from malus._files import sha256_of
 from malus.scans import read_scan
@@ -143,6 +146,8 @@ def test_a_reference_may_be_a_scan(tiny_station_source: Path, tmp_path: Path, na
     assert outcome.code == 0, outcome.err
     reference = malus.Workspace(tmp_path / "work").quality["reference"]
     assert reference["compared_fraction"] > 0.9 and reference["distance_gsd"]["mad"] < 2
+    refused = malus_station(station, "-o", tmp_path / "other", "--fusion", "grid", "--reference", tmp_path / name)
+    assert (refused.code, "only the Python package reads" in refused.err) == (2, True), refused
 
 
 def test_a_reference_that_cannot_be_read_takes_no_workspace_over(
@@ -175,6 +180,139 @@ def test_a_damaged_page_of_an_e57_file_is_named(tmp_path: Path, cloud: tuple[np.
     (tmp_path / "cloud.e57").write_bytes(content)
     with pytest.raises(malus.InputError, match=r"cloud\.e57: is not a cloud that can be read"):
         read_scan(tmp_path / "cloud.e57", "mm")
+
+
+def test_points_that_an_e57_file_counts_but_does_not_hold_are_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """They were whatever the memory held before."""
+    pytest.importorskip("pye57")
+    path = tmp_path / "cloud.e57"
+    write_e57(path, cloud[0])
+    whole = content_of(path.read_bytes())
+    path.write_bytes(as_file(whole))
+    np.testing.assert_allclose(read_scan(path, "mm")[0], cloud[0], atol=1e-4)
+    for count, said in ((b"501", "holds 500"), (b"987654321098", "more than the file has room for")):
+        path.write_bytes(as_file(whole.replace(b'recordCount="500"', b'recordCount="%b"' % count)))
+        with pytest.raises(malus.InputError, match=f"counts {count.decode()} points, .*{said}"):
+            read_scan(path, "mm")
+
+
+def test_a_scan_without_all_coordinates_or_with_no_rotation_is_named(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """The first ended with an error of its own."""
+    pytest.importorskip("pye57")
+    path = tmp_path / "cloud.e57"
+    write_e57(path, cloud[0])
+    whole = content_of(path.read_bytes())
+    path.write_bytes(as_file(whole.replace(b"cartesianZ", b"cartesianW")))
+    with pytest.raises(malus.InputError, match=r"cloud\.e57: .*no coordinates"):
+        read_scan(path, "mm")
+    write_e57_with_normals(path, *cloud, np.zeros(len(cloud[0])))
+    whole = content_of(path.read_bytes())
+    path.write_bytes(as_file(re.sub(rb">7\.07\d*e-0?1<", b">0<", whole)))
+    with pytest.raises(malus.InputError, match=r"cloud\.e57: .*no rotation"):
+        read_scan(path, "mm")
+
+
+def test_a_scan_may_be_in_spherical_coordinates(tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    file = pye57.E57(str(tmp_path / "cloud.e57"), mode="w")
+    image = file.image_file
+    prototype, scan = pye57.libe57.StructureNode(image), pye57.libe57.StructureNode(image)
+    values = {
+        "sphericalRange": [2.0, 3.0],
+        "sphericalAzimuth": [0.0, np.pi / 2],
+        "sphericalElevation": [0.0, np.pi / 6],
+    }
+    buffers = pye57.libe57.VectorSourceDestBuffer()
+    arrays = {name: np.array(value) for name, value in values.items()}
+    for name, array in arrays.items():
+        prototype.set(name, pye57.libe57.FloatNode(image, 0.0, pye57.libe57.E57_DOUBLE, -10.0, 10.0))
+        buffers.append(pye57.libe57.SourceDestBuffer(image, name, array, len(array), True, True))
+    points = pye57.libe57.CompressedVectorNode(image, prototype, pye57.libe57.VectorNode(image, True))
+    scan.set("points", points)
+    file.data3d.append(scan)
+    writer = points.writer(buffers)
+    writer.write(2)
+    writer.close()
+    file.close()
+    found, _ = read_scan(tmp_path / "cloud.e57", "m")
+    np.testing.assert_allclose(found, [[2, 0, 0], [0, 3 * 0.75**0.5, 1.5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["cloud.las", "cloud.laz"])
+def test_a_las_file_that_is_cut_short_is_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], name: str
+) -> None:
+    """One that lacked whole points was read without them; a LAZ file ended the process if the package laszip was there."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / name
+    write_las(path, *cloud)
+    whole = path.read_bytes()
+    for length in (len(whole) - 42, len(whole) // 2):  # a point has 42 bytes in the LAS file
+        path.write_bytes(whole[:length])
+        with pytest.raises(malus.InputError, match=path.name):
+            read_scan(path, "mm")
+
+
+def test_laz_headers_that_ask_for_memory_are_refused(tmp_path: Path) -> None:
+    """A few KB could state millions of points, or points of any length, which the decoder allocates at once."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / "cloud.laz"
+    write_las(path, np.zeros((50, 3)), np.zeros((50, 3)))
+    whole = bytearray(path.read_bytes())
+    damaged = whole.copy()
+    damaged[247:255] = (1_000_000).to_bytes(8, "little")
+    path.write_bytes(damaged)
+    with pytest.raises(malus.InputError, match="counts 1000000 points, more than"):
+        read_scan(path, "mm")
+    # The record of the decoder: user (16 bytes), number, length (2 bytes each), description (32), then the decoder's data, which
+    # list the items of a point (type, size and version, of 2 bytes each) from their byte 34 on.
+    items = whole.index(b"laszip encoded") + 16 + 2 + 2 + 32 + 34
+    damaged = whole.copy()
+    damaged[items + 2 : items + 4] = b"\xff\xff"
+    path.write_bytes(damaged)
+    with pytest.raises(malus.InputError, match="by one header"):
+        read_scan(path, "mm")
+
+
+def test_a_laz_file_that_ends_its_decoder_is_refused(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    """Its table counts billions of parts: the decoder asked for that memory and ended the process, with signal 6."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / "cloud.laz"
+    write_las(path, *cloud)
+    whole = bytearray(path.read_bytes())
+    start = int.from_bytes(whole[96:100], "little")  # of the points, before which the place of the table stands
+    table = int.from_bytes(whole[start : start + 8], "little")
+    whole[table + 4 : table + 8] = b"\xff\xff\xff\xff"
+    path.write_bytes(whole)
+    with pytest.raises(malus.InputError, match=r"cloud\.laz"):
+        read_scan(path, "mm")
+
+
+def test_points_that_are_not_finite_are_refused(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
+    """As in PLY and text. The message names the user's file, not one that was made of it."""
+    pytest.importorskip("pye57")
+    points = cloud[0].copy()
+    points[7, 1] = np.nan
+    write_e57_with_normals(tmp_path / "cloud.e57", points, cloud[1], np.zeros(len(points)))
+    with pytest.raises(malus.InputError, match=r"cloud\.e57: 1 of 500 points have coordinates that are not finite"):
+        read_scan(tmp_path / "cloud.e57", "mm")
+
+
+@pytest.mark.parametrize("name", ["pipe.las", "pipe.e57"])
+def test_a_pipe_is_no_scan(tmp_path: Path, name: str) -> None:
+    """It was waited for, for ever."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("pye57")
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(malus.InputError, match="not a regular file"):
+        read_scan(tmp_path / name, "mm")
 
 
 def test_las_headers_that_count_more_than_the_file_holds_are_refused(
@@ -212,22 +350,19 @@ def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path
 
 
 def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: Path, tmp_path: Path) -> None:
-    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("laspy")
     pytest.importorskip("rocrate")
     cloud = small_station.parent / "cloud.las"
     vertices = malus._core.read_points(str(small_station.parent / "dense/cloud.ply"))
-    scan = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    scan.header.offsets, scan.header.scales = vertices.mean(0), [1e-4] * 3
-    scan.x, scan.y, scan.z = vertices.T
-    scan.write(cloud)
+    unknown = np.zeros_like(vertices)
+    write_las(cloud, vertices, unknown)
     edit(small_station, "dense/cloud.ply", "cloud.las")
     work = tmp_path / "work"
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive")) as file:
         assert file.read("small/data/inputs/cloud.las") == cloud.read_bytes()
     assert malus.Workspace(work).manifest["inputs"]["cloud.las"] == sha256_of(cloud)
-    moved = laspy.read(cloud)
-    moved.X[0] += 1
-    moved.write(cloud)
-    with pytest.raises(malus.InputError, match=r"cloud\.las: was changed since"):
-        malus.export(work, "archive")
+    for points, normals in ((vertices + [1e-3, 0, 0], unknown), (vertices, unknown + [0, 0, 1])):
+        write_las(cloud, points, normals)
+        with pytest.raises(malus.InputError, match=r"cloud\.las: was changed since"):
+            malus.export(work, "archive")

@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 from urllib.parse import urlencode, urlsplit
 
@@ -147,6 +148,23 @@ def test_circles_and_pipes_in_the_folder_stop_nothing(odd_folder: Any) -> None:
     folders = pytest.importorskip("malus.studio.folders")
     assert [entry["name"] for entry in folders.listing(odd_folder.root, "")["folders"]] == ["linked", "work"]
     assert folders.candidates(odd_folder.root)["stations"] == []
+
+
+def test_a_pipe_is_neither_written_to_nor_waited_for(odd_folder: Any) -> None:
+    """A thread waited for it, for ever, and Studio could not be ended."""
+    masks, document = (importlib.import_module(f"malus.studio.{name}") for name in ("masks", "document"))
+    folder = odd_folder.root.folder
+    with pytest.raises(OSError, match="not a regular file"):
+        document.StationDocument(folder / "pipe.toml", "").write(None)
+    with pytest.raises(OSError, match="not a regular file"):
+        masks.write(folder / "pipe.tif", np.zeros((4, 4), np.uint8), may_replace=False)
+
+
+def test_a_result_of_another_version_does_not_hide_the_others(odd_folder: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = importlib.import_module("malus.studio.results")
+
+    monkeypatch.setattr(results, "Workspace", lambda folder: SimpleNamespace(folder=folder, quality={"name": "old"}))
+    assert "cannot be shown" in results.summary(odd_folder.root, odd_folder.root.folder / "work")["problem"]
 
 
 def test_reports_show_nothing_outside_the_folder(odd_folder: Any) -> None:

@@ -636,17 +636,18 @@ void write(const std::filesystem::path& path, const PointCloud& cloud, const Tri
   file.commit();
 }
 
-bool is_scan_name(const std::filesystem::path& path) {
+/// Throws for formats that only the Python package reads.
+void require_no_scan(const std::filesystem::path& path, const InputFile& file) {
   const std::string suffix = in_lower_case(path.extension().string());
-  return suffix == ".las" || suffix == ".laz" || suffix == ".e57";
+  if (suffix == ".las" || suffix == ".laz" || suffix == ".e57")
+    throw file.error("is LAS or E57, which only the Python package reads (malus run); expected PLY or text");
 }
 
 }  // namespace
 
 PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context, const std::string& what) {
   InputFile file(path, what);
-  if (is_scan_name(path))
-    throw file.error("is LAS or E57, which only the Python package reads (malus run); expected PLY or text");
+  require_no_scan(path, file);
   if (is_ply(path)) return read_ply(file, PlyParts::vertices, context).vertices;
   require_text(path, file);
   return read_xyz(file, context);
@@ -662,6 +663,7 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
 
 TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context) {
   InputFile file(path, "reference");
+  require_no_scan(path, file);
   if (is_ply(path)) return read_ply(file, PlyParts::vertices_and_faces, context);
   require_text(path, file);
   return {read_xyz(file, context), {}};

@@ -10,7 +10,7 @@ std::vector<std::string> overtaken_exports(const std::filesystem::path& folder) 
   using Record = Workspace::Json;
   const std::filesystem::path exports = folder / "export", record = exports / "made_from.json";
   std::error_code unreadable;
-  if (!std::filesystem::is_regular_file(record, unreadable)) return {};
+  if (!std::filesystem::is_regular_file(record, unreadable) || std::filesystem::is_empty(record, unreadable)) return {};
   std::map<std::string, Record> now;
   const Record manifest = Workspace::read_manifest(folder);
   for (const auto& step : manifest.at("steps")) {

@@ -279,7 +279,8 @@ def _fuse(
         ]
         quality["files"] = {str(path.relative_to(folder)): sha256_of(path) for path in files}
         _require_unchanged(thing, outcomes, frame, folder, key)
-        write_record(folder / "quality.json", quality)
+    # After the temporary folder is gone: a run that finds the record removes nothing.
+    write_record(folder / "quality.json", quality)
 
 
 def _all_points(views: Sequence[View], clouds: Sequence[OrientedPoints], gsd: float) -> OrientedPoints:

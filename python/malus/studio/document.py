@@ -99,7 +99,7 @@ class StationDocument:
     def require(self, expected: str | None) -> None:
         """Raise ChangedError unless the file has the digest `expected`. None = no file must exist, else InputError."""
         # Bytes: text mode would change the line ends of Windows.
-        current = digest_of(self.path.read_bytes().decode("utf-8-sig", "replace")) if self.path.exists() else None
+        current = digest_of(read_regular(self.path).decode("utf-8-sig", "replace")) if self.path.exists() else None
         if current == expected:
             return
         if expected is None:

@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngImageFile
 import malus
 from malus import _core
 from malus._extra import extra
-from malus._files import write_bytes
+from malus._files import read_regular, write_bytes
 from malus.errors import DataError, InputError
 from malus.figures import encode, step_for
 from malus.options import Options
@@ -37,13 +37,12 @@ def decode(content: bytes, size: tuple[int, int]) -> Bytes:
     try:
         # Not Image.open, which refuses images of more than 179 megapixels; nothing is decoded before the size is known.
         with PngImageFile(io.BytesIO(content)) as image:
-            if image.size != size:
-                raise InputError(
-                    f"the mask is {image.width} x {image.height} pixels, expected {size[0]} x {size[1]} as the images"
-                )
-            return np.array(image.convert("RGBA").getchannel("R"))
-    except (OSError, SyntaxError) as error:
+            width, height = image.size
+            if image.size == size:
+                return np.array(image.convert("RGBA").getchannel("R"))
+    except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"the mask is no PNG image ({error})") from None
+    raise InputError(f"the mask is {width} x {height} pixels, expected {size[0]} x {size[1]} as the images")
 
 
 def read(path: Path, kind: str = "mask") -> bytes:
@@ -64,7 +63,7 @@ def write(path: Path, values: Bytes, *, may_replace: bool) -> Path:
     """Write a mask or label image as PNG and return its path: `path`, or a numbered one if another image would be overwritten."""
     content = encode(values, "PNG")
     place, count = path, 1
-    while not may_replace and place.exists() and place.read_bytes() != content:
+    while not may_replace and place.exists() and read_regular(place) != content:
         count += 1
         place = path.with_stem(f"{path.stem}_{count}")
     write_bytes(place, content)

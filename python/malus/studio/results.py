@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import assess
+from malus._files import shortened
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
@@ -21,8 +20,6 @@ from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400
-#: Most bytes of a folder's name; file systems have 255, of which a name that is being written takes 30 more.
-_LONGEST_NAME = 200
 #: Largest relative difference of two cameras that is put down to rounding.
 _SAME_CAMERA = 1e-6
 
@@ -40,11 +37,7 @@ def comparisons(root: Root) -> list[str]:
 def folder_of_comparison(root: Root, before: Path, after: Path) -> Path:
     """Folder for the comparison of two results; always the same one for the same results."""
     names = [root.name(work).replace("/", "_") for work in (before, after)]
-    whole = "_".join(["change", *names])
-    if len(whole.encode()) > _LONGEST_NAME:
-        start = whole.encode()[: _LONGEST_NAME - 17].decode(errors="ignore")
-        whole = f"{start}_{hashlib.sha256(whole.encode()).hexdigest()[:16]}"
-    return root.path(whole)
+    return root.path(shortened("_".join(["change", *names])))
 
 
 def _folders_with(root: Root, file: str) -> list[str]:
@@ -63,16 +56,21 @@ def station_of(root: Root, folder: Path) -> str | None:
 
 
 def summary(root: Root, folder: Path) -> dict[str, Any]:
-    """The figures of a result for the list of results; `problem` if the result is not finished."""
+    """The figures of a result for the list of results; `problem` if the result is not finished, or not of this version of Malus."""
     try:
-        workspace = Workspace(folder)
-        quality = workspace.quality
-    except (MalusError, json.JSONDecodeError) as error:
+        return _figures(root, Workspace(folder))
+    except MalusError as error:
         return {"problem": str(error)}
+    except (KeyError, ValueError, TypeError, AttributeError, OSError) as error:  # it must not hide the other results
+        return {"problem": f"its figures cannot be shown ({type(error).__name__}: {error}); run the station again"}
+
+
+def _figures(root: Root, workspace: Workspace) -> dict[str, Any]:
+    quality = workspace.quality
     keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
     return {
         **{key: quality[key] for key in keys},
-        "station": station_of(root, folder),
+        "station": station_of(root, workspace.folder),
         "coverage": quality["coverage"]["fraction"],
         "sigma_gsd": quality["sigma"]["median_gsd"] if quality["sigma"] else None,
         "report": workspace.has("report/index.html"),
