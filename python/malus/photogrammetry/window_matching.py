@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus.photogrammetry import database
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
 from malus.photogrammetry.photos import Photo
@@ -48,10 +48,7 @@ def match_windows(
     views = {image: view for image, view in stations.items() if image in placed.model.images}
     freedom = _freedom(solved, views, placed.model)
     inputs = {
-        "images": {
-            image: hashlib.sha256(np.ascontiguousarray(view.unpolarized).tobytes()).hexdigest()
-            for image, view in views.items()
-        },
+        "images": {image: digest(view.unpolarized) for image, view in views.items()},
         "freedom": freedom,
         "options": [options.match_points_a_photo, options.match_radius, options.match_range_px,
                     options.match_min_correlation, options.match_floor_px],
