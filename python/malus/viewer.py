@@ -6,7 +6,6 @@ first, then all next ones: smooth data shrink to about one byte per value. asset
 
 from __future__ import annotations
 
-import base64
 import zlib
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ from malus import _core, figures
 from malus.albedo import diffuse_albedo
 from malus.errors import DataError
 from malus.figures import reduced, step_for
+from malus.pages import base64_text
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
@@ -30,11 +30,6 @@ MESH_TRIANGLES = 80000
 _NORMAL_SCALE = 2047
 _QUALITY = 88
 _MIDDLE_GRAY = 0.42
-
-
-def base64_text(content: bytes) -> str:
-    """Bytes as base64 text."""
-    return base64.b64encode(content).decode()
 
 
 def pack(values: NDArray[Any], bits: int = 16) -> str:

@@ -25,9 +25,9 @@ from malus.object.meshing import ObjectMesh
 from malus.object.reference import Comparison
 from malus.object.texture import NearestVertices, TexturedMesh
 from malus.object.views import View, sees
-from malus.pages import template
+from malus.pages import base64_text, template
 from malus.units import METERS
-from malus.viewer import base64_text, pack
+from malus.viewer import pack
 
 #: Longest sides of the texture and of a station's map in the page (pixels).
 _TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
