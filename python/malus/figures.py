@@ -822,4 +822,4 @@ def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float]
 
 def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
     """Numbers of quality.json as an array, NaN for None."""
-    return np.array([np.nan if value is None else value for value in values], dtype=float)
+    return np.array(values, dtype=float)

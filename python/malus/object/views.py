@@ -166,14 +166,9 @@ def sees(view: View, points: Floats, normals: Floats) -> Bools:
 
 def stored(view: View, folder: Path) -> View:
     """The view with its maps in files of a new folder."""
-
-    def kept(name: str) -> NDArray[Any]:
-        return on_disk(getattr(view, name), folder / name)
-
-    return replace(
-        view, depth=kept("depth"), normals=kept("normals"), sigma=kept("sigma"), cosine=kept("cosine"),
-        usable=kept("usable"), object=kept("object"), color=kept("color"),
-    )  # fmt: skip
+    names = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
+    maps: dict[str, Any] = {name: on_disk(getattr(view, name), folder / name) for name in names}
+    return replace(view, **maps)
 
 
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:

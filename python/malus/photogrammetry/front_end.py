@@ -215,8 +215,7 @@ def _placed_and_scaled(
     points, move it into their frame. said: `scale` and `control`, and the `path` of their file. Returns the placed
     stations, the model and its figures.
     """
-    matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
-    placed = matched.placed
+    placed, windows = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     registered = {name: camera for name, camera in placed.model.cameras.items() if name not in views}
     scale, datum = None, None
     try:
@@ -243,7 +242,7 @@ def _placed_and_scaled(
             "reprojection_px": model.mean_error_px,
             "points": len(model.points),
             "relief": solved.model.relief(),
-            "windows": matched.figures,
+            "windows": windows,
             "files": solved.hashes,
         },
         "scale": scale,
