@@ -394,10 +394,8 @@ class Plates:
             ticks = _with_shares(ticks, finite, np.linspace(*limits, cmap.N + 1))
         if unit or ticks:
             color_bar(drawing, picture, unit, ticks)
-        summary: list[Any] = [title, unit, finite.size, finite.mean() if finite.size else None]
-        summary += (
-            [float(p) for p in np.percentile(finite, _PERCENTILES)] if finite.size else [None] * len(_PERCENTILES)
-        )
+        mean_and_percentiles = [finite.mean(), *np.percentile(finite, _PERCENTILES).tolist()] if finite.size else []
+        summary = [title, unit, finite.size, *(mean_and_percentiles or [None] * (1 + len(_PERCENTILES)))]
         return self.figure(
             name,
             title,
@@ -822,4 +820,4 @@ def _without_spikes(lines: Sequence[NDArray[np.float64]]) -> tuple[float, float]
 
 def numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
     """Numbers of quality.json as an array, NaN for None."""
-    return np.array([np.nan if value is None else value for value in values], dtype=float)
+    return np.array(values, dtype=float)

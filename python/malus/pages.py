@@ -18,6 +18,11 @@ def asset(name: str) -> Markup:
     return Markup(_text("assets", name))
 
 
+def base64_text(content: bytes) -> str:
+    """Bytes as base64 text."""
+    return base64.b64encode(content).decode()
+
+
 def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
     """A template of malus/templates, with the function `asset`, the filters `base64` (of bytes) and `number`, and the given ones.
 
@@ -32,7 +37,7 @@ def template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None)
     )
     # Names in any script can be read in the page, and keys have the order that the file has.
     environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
-    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    environment.filters["base64"] = base64_text
     environment.filters["number"] = number
     environment.filters.update(filters or {})
     environment.globals["asset"] = asset

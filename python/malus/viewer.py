@@ -6,7 +6,6 @@ first, then all next ones: smooth data shrink to about one byte per value. asset
 
 from __future__ import annotations
 
-import base64
 import zlib
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ from malus import _core, figures
 from malus.albedo import diffuse_albedo
 from malus.errors import DataError
 from malus.figures import reduced, step_for
+from malus.pages import base64_text
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
@@ -32,15 +32,9 @@ _QUALITY = 88
 _MIDDLE_GRAY = 0.42
 
 
-def base64_text(content: bytes) -> str:
-    """Bytes as base64 text."""
-    return base64.b64encode(content).decode()
-
-
 def pack(values: NDArray[Any], bits: int = 16) -> str:
     """Whole numbers that fit into so many bits (signed or unsigned), as differences modulo 2^bits, in base64 of Deflate."""
-    whole = values.ravel().astype(np.int64)
-    steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]])
+    steps = np.diff(values.ravel().astype(np.int64), prepend=0)
     planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in range(0, bits, 8)])
     return base64_text(zlib.compress(planes.tobytes(), 6))
 

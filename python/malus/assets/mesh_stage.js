@@ -9,6 +9,16 @@ function canShowMesh(root) {
   return can;
 }
 
+// A texture of colors as glTF defines it: not flipped, in sRGB.
+function colorTexture(image) {
+  const texture = new THREE.Texture(image);
+  texture.flipY = false;
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.anisotropy = 4;
+  texture.needsUpdate = true;
+  return texture;
+}
+
 // The scene in the canvas of `root`. extent: sides of the object in its unit, which is so many `meters`; up: what is up. The view's own functions:
 // halfHeight(w, h): of the part that a canvas of this size shows without zoom; light(): places the lamp, before every drawing;
 // turn(sideways, upwards): moves the camera about the object, angles in radians; home(): shows the first view again.

@@ -19,11 +19,7 @@
   geometry.computeVertexNormals();
 
   const relight = unpack.block('relight-data');
-  const texture = new THREE.Texture(await unpack.picture(relight.color, 'image/webp'));
-  texture.colorSpace = THREE.SRGBColorSpace;
-  texture.flipY = false;
-  texture.anisotropy = 4;
-  texture.needsUpdate = true;
+  const texture = colorTexture(await unpack.picture(relight.color));
 
   // The fused normals of all pixels shade the mesh, so that it shows detail finer than its triangles.
   async function normalMap() {

@@ -15,8 +15,7 @@
   }
   // 8-bit sRGB as linear colors, which three.js expects.
   const linear = value => Math.pow(value / 255, 2.2);
-  const bytes = text => Uint8Array.from(atob(text), character => character.charCodeAt(0));
-  const content = await new THREE.GLTFLoader().parseAsync(bytes(data.glb).buffer, '');
+  const content = await new THREE.GLTFLoader().parseAsync(unpack.bytes(data.glb).buffer, '');
   const {geometry, material: {map: texture, normalMap}} = content.scene.getObjectByProperty('isMesh', true);
   geometry.computeBoundingBox();
   geometry.translate(...geometry.boundingBox.getCenter(new THREE.Vector3()).negate().toArray());
@@ -32,15 +31,8 @@
   });
   if (data.reference) paints.reference = await attribute(data.reference, Uint16Array, 3, linear);
   const textures = {color: texture};
-  if (data.albedo) {
-    const albedo = new THREE.Texture(await createImageBitmap(new Blob([bytes(data.albedo)], {type: 'image/webp'})));
-    // As glTF defines textures: not flipped, colors in sRGB.
-    albedo.flipY = false;
-    albedo.colorSpace = THREE.SRGBColorSpace;
-    albedo.needsUpdate = true;
-    textures.albedo = albedo;
-  }
-  for (const one of [...Object.values(textures), normalMap]) one.anisotropy = 4;
+  if (data.albedo) textures.albedo = colorTexture(await unpack.picture(data.albedo));
+  for (const one of [texture, normalMap]) one.anisotropy = 4;
 
   const material = new THREE.MeshStandardMaterial({roughness: 0.85, metalness: 0, side: THREE.DoubleSide, normalMap});
   const {scene, camera, lamp, radius, axis, redraw, lookFrom} = meshStage(root, {

@@ -87,7 +87,7 @@
   }
 
   const maps = {fused: await normalTexture('fused'), prior: await normalTexture('prior')};
-  const image = await unpack.picture(data.color, 'image/webp');
+  const image = await unpack.picture(data.color);
   gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   texture(1, () => gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image));
   gl.uniform1i(uniform('normals'), 0);

@@ -1,8 +1,9 @@
 // Unpacks numbers that malus/viewer.py has packed: differences of neighbors, split into byte planes, compressed with Deflate.
 const unpack = (() => {
+  const bytes = base64 => Uint8Array.from(atob(base64), c => c.charCodeAt(0));
+
   async function inflate(base64) {
-    const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+    const stream = new Blob([bytes(base64)]).stream().pipeThrough(new DecompressionStream('deflate'));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
@@ -23,14 +24,15 @@ const unpack = (() => {
     return decoded[surface] ??= words(data[surface], Int16Array);
   }
 
-  async function picture(base64, type) {
+  // An image of WebP.
+  async function picture(base64) {
     const image = new Image();
-    image.src = `data:${type};base64,${base64}`;
+    image.src = `data:image/webp;base64,${base64}`;
     await image.decode();
     return image;
   }
 
   // The JSON block with this id in the page.
   const block = id => JSON.parse(document.getElementById(id).textContent);
-  return {words, normals, picture, block};
+  return {bytes, words, normals, picture, block};
 })();

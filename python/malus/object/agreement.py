@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from malus._extra import extra
 from malus.object.arrays import chunks
-from malus.object.views import LEAST_COSINE, Bools, Floats, View
+from malus.object.views import LEAST_COSINE, Bools, Floats, View, scipy, unit
 
 #: Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of them is wrong.
 _LEAST_FACING = 0.5
@@ -147,7 +146,7 @@ class _Means:
                 continue
             at = other.meet(points)
             facing = (at.normals * normals).sum(-1)
-            apart = (at.normals * (at.points - points)).sum(-1) / np.maximum(facing, _LEAST_FACING)
+            apart = at.off(points) / np.maximum(facing, _LEAST_FACING)
             spread = np.hypot(sigma, at.sigma)
             same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
             near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, other.usual_sigma)), 2 * view.gsd))
@@ -170,7 +169,7 @@ class _Means:
             ratio = np.sqrt(squares / np.where(count > 0, count, np.nan))
         mean = OrientedPoints(
             points + normals * (moved / total)[:, None],
-            normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            unit(normal),
             np.sqrt(cosines / stated),
             seen,
         )
@@ -182,8 +181,7 @@ def _found_by(cloud: OrientedPoints, points: OrientedPoints, gsd: float) -> NDAr
     """Which points lie on the surface of the cloud points near them."""
     if len(cloud.points) < _OF_NEAREST or not len(points.points):
         return np.zeros(len(points.points), bool)
-    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    tree = spatial.cKDTree(cloud.points)
+    tree = scipy("spatial").cKDTree(cloud.points)
     found = np.zeros(len(points.points), bool)
     for rows in chunks(len(found)):
         some = points.select(rows)
@@ -207,13 +205,12 @@ def unseen_stereo(cloud: OrientedPoints, views: Sequence[View], seen_points: Ori
     stations, or for one station whose contour holds the whole object. Points near `seen_points`, the stations' points, are dropped,
     too: correct points there repeat the stations' surface, all others are errors.
     """
-    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     whole = [_has_all(view, seen_points) for view in views]
     free = np.zeros(len(cloud.points), bool)
     for rows in chunks(len(free)):
         free[rows] = _unseen(cloud.select(rows), views, whole)
     if len(seen_points.points):
-        away = spatial.cKDTree(seen_points.points).query(cloud.points[free], workers=1)[0]
+        away = scipy("spatial").cKDTree(seen_points.points).query(cloud.points[free], workers=1)[0]
         free[free] = away > _MOST_RATIO * cloud.sigma[free]
     return cloud.select(free)
 
@@ -228,7 +225,7 @@ def _unseen(cloud: OrientedPoints, views: Sequence[View], whole: Sequence[bool])
             continue
         at = view.meet(points)
         spread = np.hypot(at.sigma, sigma)
-        off = np.abs((at.normals * (at.points - points)).sum(-1))
+        off = np.abs(at.off(points))
         seen = (at.weight > 0) & ((at.normals * normals).sum(-1) > _LEAST_FACING)
         near = np.linalg.norm(at.points - points, axis=1) < _MOST_RATIO * spread / LEAST_COSINE
         free &= ~(seen & near & (off < 2 * _MOST_RATIO * spread)) & ~view.in_front(points, _MOST_RATIO)
@@ -250,8 +247,7 @@ def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
     """The points that lie on a surface with most of their neighbors: nearly parallel, and in one plane to two GSD."""
     if len(points.points) <= _NEIGHBORS:
         return points
-    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    tree = spatial.cKDTree(points.points)
+    tree = scipy("spatial").cKDTree(points.points)
     good = np.zeros(len(points.points), bool)
     for rows in chunks(len(good)):
         some = points.select(rows)

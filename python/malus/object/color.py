@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus._extra import extra
 from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
-from malus.object.views import LEAST_COSINE, Floats, Singles, View
+from malus.object.views import LEAST_COSINE, Floats, Singles, View, scipy
 
 #: A station does not see places farther than this many GSD in front of or behind its surface.
 _NEAR_GSD = 4.0
@@ -66,10 +65,9 @@ class Paint:
         if not len(known):
             return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5), None)
         white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
-        spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
         # If only each n-th place is used, seen places lie farther apart.
         reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * math.sqrt(every)
-        lent = _Lent(spatial.cKDTree(points[some][seen]), known, reach)
+        lent = _Lent(scipy("spatial").cKDTree(points[some][seen]), known, reach)
         return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 
     def linear(self, points: Floats, normals: Floats) -> Floats:
@@ -101,7 +99,7 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
             continue
         at = view.meet(points)
         facing = view.facing(points, normals)
-        near = np.abs((at.normals * (at.points - points)).sum(1)) < _NEAR_GSD * view.gsd
+        near = np.abs(at.off(points)) < _NEAR_GSD * view.gsd
         color = images[k][at.v, at.u]
         seen = (at.weight > 0) & near & (facing > LEAST_COSINE) & np.isfinite(color).all(1)
         weights[k] = np.where(seen, facing**2, 0)

@@ -51,6 +51,10 @@ _POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
 _SAME_SCALE = 1e-3
 
 
+#: What `Station.describe` says of the stations, by their files.
+Stations = Mapping[Path, Mapping[str, Any]]
+
+
 @dataclass(frozen=True)
 class Object:
     """Stations about one object, in one frame and unit.
@@ -145,9 +149,7 @@ class Object:
             return []
         masked = {
             "photos": {photo.name: photo.mask is not None for photo in photos_of(self.shared["photos"])},
-            "stations": {
-                str(path): _has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations
-            },
+            "stations": self._masked_stations(),
         }
         warnings = []
         for what, known in masked.items():
@@ -199,8 +201,11 @@ class Object:
 
     def _outlines_of_others(self) -> int:
         """How many outlines of other stations at least are silhouettes for each station."""
-        masks = sum(_has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations)
-        return max(0, masks - 1) if self.turntable else 0
+        return max(0, sum(self._masked_stations().values()) - 1) if self.turntable else 0
+
+    def _masked_stations(self) -> dict[str, bool]:
+        """Whether each station has a mask, by its file."""
+        return {str(path): _has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations}
 
     def planned_surface(self, plans: Sequence[Mapping[str, Any]]) -> tuple[str, float]:
         """What a run makes of the finished stations, and its expected seconds. plans: of the stations, from `check`."""
@@ -228,7 +233,7 @@ def _reference(file: Path, name: str, *, given: bool) -> Path | None:
     return path
 
 
-def _common_unit(file: Path, stations: Mapping[Path, Mapping[str, Any]], expected: str) -> str:
+def _common_unit(file: Path, stations: Stations, expected: str) -> str:
     """The unit of the stations; InputError if they do not all have the same one."""
     for path, station in stations.items():
         expected = expected or station["unit"]
@@ -241,7 +246,7 @@ def _has_mask(station: Mapping[str, Any]) -> bool:
     return station["mask"] is not None
 
 
-def _require_masks(file: Path, stations: Mapping[Path, Mapping[str, Any]], shared: Mapping[str, Any] | None) -> None:
+def _require_masks(file: Path, stations: Stations, shared: Mapping[str, Any] | None) -> None:
     """InputError unless a turntable's stations are found among photos, and photos and stations have masks: without masks the
     surroundings, which do not turn, place all images as if nothing had turned.
     """
@@ -262,7 +267,7 @@ def _require_masks(file: Path, stations: Mapping[Path, Mapping[str, Any]], share
         )
 
 
-def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photos: bool) -> None:
+def _require_one_frame(stations: Stations, *, from_photos: bool) -> None:
     """InputError unless every station has a [camera]; or, if photos give pose and prior, has a lens without pose and prior. Stations
     whose own file says nothing about the others' frame are errors, too.
     """
@@ -297,7 +302,7 @@ def _require_one_frame(stations: Mapping[Path, Mapping[str, Any]], *, from_photo
     _require_one_scale(stations)
 
 
-def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+def _require_poses(stations: Stations) -> None:
     """InputError if more than one station takes its camera's frame for the world's, as it may with a depth map or a shape as prior."""
     without = [
         path
@@ -313,7 +318,7 @@ def _require_poses(stations: Mapping[Path, Mapping[str, Any]]) -> None:
         )
 
 
-def _require_one_scale(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+def _require_one_scale(stations: Stations) -> None:
     """InputError if known distances scale a cloud or a mesh that several stations share differently: their frames differ then."""
     known: dict[str, tuple[Path, float]] = {}
     for path, station in stations.items():
@@ -328,9 +333,7 @@ def _require_one_scale(stations: Mapping[Path, Mapping[str, Any]]) -> None:
             )
 
 
-def _shared(
-    file: Path, content: Mapping[str, Any], stations: Mapping[Path, Mapping[str, Any]]
-) -> dict[str, Any] | None:
+def _shared(file: Path, content: Mapping[str, Any], stations: Stations) -> dict[str, Any] | None:
     """Photos, known distances and control points by which all stations are found, from the stations' files; None without photos."""
     if names := [name for name in ("scale", "control") if name in content]:
         raise InputError(f"{file}: [[{names[0]}]] needs [photos], in which its points are marked")
@@ -351,7 +354,7 @@ def _shared(
     return {"path": files, "photos": photos, **marks}
 
 
-def _require_one_size(stations: Mapping[Path, Mapping[str, Any]]) -> None:
+def _require_one_size(stations: Stations) -> None:
     """InputError if one station states distances and another one control points: the points alone would count."""
     scaled, pointed = (next((path for path in stations if stations[path][key]), None) for key in ("scale", "control"))
     if scaled is not None and pointed is not None:
@@ -373,7 +376,7 @@ def _own_photos(file: Path) -> dict[str, Any]:
     return own
 
 
-def _own(file: Path, own: dict[str, Any], stations: Mapping[Path, Mapping[str, Any]]) -> dict[str, Any]:
+def _own(file: Path, own: dict[str, Any], stations: Stations) -> dict[str, Any]:
     """The object file's photos, distances and points. InputError if a station file has other ones, which would be ignored."""
     for path, station in stations.items():
         if station.get("photos", own["photos"]) != own["photos"]:
@@ -392,7 +395,7 @@ def _own(file: Path, own: dict[str, Any], stations: Mapping[Path, Mapping[str, A
     return own
 
 
-def _distances_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
+def _distances_of_all(stations: Stations) -> list[Any]:
     """Known distances of all stations, without duplicates; InputError if one is held out in one file and used in another."""
     found: dict[str, tuple[Path, Any]] = {}
     for path, station in stations.items():
@@ -406,7 +409,7 @@ def _distances_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
     return [entry for _, entry in found.values()]
 
 
-def _points_of_all(stations: Mapping[Path, Mapping[str, Any]]) -> list[Any]:
+def _points_of_all(stations: Stations) -> list[Any]:
     """Control points of all stations, without duplicates. A point has one position and one set of marks, as the stations share the
     photos; its pixel differs between the stations' images.
     """

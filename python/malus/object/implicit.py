@@ -23,7 +23,7 @@ from malus.object.agreement import OrientedPoints
 from malus.object.arrays import chunks
 from malus.object.joining import Piece
 from malus.object.meshing import ObjectMesh
-from malus.object.views import Floats
+from malus.object.views import Floats, scipy, unit
 from malus.threads import ALL_CORES
 
 Ints = NDArray[np.int64]
@@ -97,10 +97,9 @@ class PointBlocks:
 
 def reach_of(points: Floats, cell: float, threads: int) -> Floats:
     """Radius of each point's weight function (N): in proportion to the distance to its sixth neighbor, within limits in cells."""
-    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
     if len(points) <= _SPACING_NEIGHBOR:
         return np.full(len(points), _REACH_CELLS * cell)
-    spacing = spatial.cKDTree(points).query(points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
+    spacing = scipy("spatial").cKDTree(points).query(points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
     return np.asarray(np.clip(_REACH_SPACINGS * spacing, _REACH_CELLS * cell, MOST_REACH_CELLS * cell))
 
 
@@ -170,10 +169,8 @@ def _node_number(node: Ints) -> Ints:
 
 def _with_means(vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float, threads: int) -> ObjectMesh:
     """The mesh with normals and standard deviations: means over the nearest points, weighted by distance."""
-    spatial = extra("scipy.spatial", "scipy", "the surface of an object", "object")
-    away, near = spatial.cKDTree(points.points).query(vertices, _NEIGHBORS, workers=threads)
+    away, near = scipy("spatial").cKDTree(points.points).query(vertices, _NEIGHBORS, workers=threads)
     share = 1 / (away**2 + cell**2)
-    normals = (share[..., None] * points.normals[near]).sum(1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = unit((share[..., None] * points.normals[near]).sum(1))
     sigma = (share * points.sigma[near]).sum(1) / share.sum(1)
     return ObjectMesh(vertices, normals, triangles, sigma, np.ones(len(vertices), bool))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from malus.errors import DataError
 from malus.object.arrays import GrowingArray, chunks
-from malus.object.meshing import ObjectMesh, connected
+from malus.object.meshing import ObjectMesh, connected, part_numbers
 
 Ints = NDArray[np.int64]
 
@@ -90,18 +90,16 @@ def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> Obj
         numbers = np.empty(len(found), np.int64)
         numbers[~found] = raw.vertices.rows + np.arange(int((~found).sum()))
         numbers[found] = seams.number[at[found]]
-        sure = (mesh.sigma <= most_sigma)[mesh.triangles].all(1)
-        part = parts + connected(
-            np.concatenate([mesh.triangles[sure][:, [0, 1]], mesh.triangles[sure][:, [1, 2]]]), len(found)
-        )
+        kept = mesh.triangles[(mesh.sigma <= most_sigma)[mesh.triangles].all(1)]
+        part = parts + part_numbers(kept, len(found))
         links.append(np.stack([part[found], seams.part[at[found]]], 1))
         new = ~found & (piece.seam >= 0)
         seams.add(piece.seam[new], numbers[new], part[new], piece.first_seam)
-        triangles = numbers[mesh.triangles[sure]]
+        triangles = numbers[kept]
         # A triangle whose seam vertices were merged has no area.
         real = (triangles != np.roll(triangles, 1, 1)).all(1)
         raw.add(mesh, ~found, triangles[real])
-        of = part[mesh.triangles[sure][real, 0]]
+        of = part[kept[real, 0]]
         parts_of.add(of)
         sizes.append(np.bincount(of - parts, minlength=part.max(initial=parts - 1) + 1 - parts))
         parts += len(sizes[-1])

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from malus._extra import extra
 from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
 from malus.object.ply import columns, read_mesh, write_ply
-from malus.object.views import Bools, Floats
+from malus.object.views import Bools, Floats, scipy, unit
 from malus.photogrammetry.program import Colmap
 
 #: The finest cells of the octree have this size, in GSD.
@@ -93,8 +92,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
     """The mesh with sigma and normals of the nearest points; where no point is near, sigma grows with the distance."""
-    spatial = extra("scipy.spatial", "scipy", "the mesh of an object", "object")
-    tree = spatial.cKDTree(points.points)
+    tree = scipy("spatial").cKDTree(points.points)
     spacing = tree.query(points.points, _SPACING_NEIGHBOR + 1, workers=1)[0][:, -1]
     away, near = tree.query(vertices, 4, workers=1)
     share = 1 / (away**2 + (0.1 * gsd) ** 2)
@@ -109,38 +107,54 @@ def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: Or
     return ObjectMesh(vertices, normals, triangles, np.where(measured, sigma, np.hypot(sigma, away[:, 0])), measured)
 
 
+def face_normals(vertices: Floats, triangles: NDArray[np.integer]) -> Floats:
+    """Normals of the triangles (M×3), with twice the areas as lengths."""
+    corners = vertices[triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def sums_at_vertices(triangles: NDArray[np.integer], values: Floats, count: int) -> Floats:
+    """For each of `count` vertices the sum of the values (M or M×K) of the triangles about it."""
+    if values.ndim == 1:
+        return np.asarray(np.bincount(triangles.ravel(), np.repeat(values, 3), count), np.float64)
+    return np.stack([sums_at_vertices(triangles, column, count) for column in values.T], 1)
+
+
 def vertex_normals(vertices: Floats, triangles: NDArray[np.int64]) -> Floats:
     """Unit normals: area-weighted means over the triangles about each vertex."""
-    corners = vertices[triangles]
-    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sums = np.stack(
-        [np.bincount(triangles.ravel(), np.repeat(faces[:, axis], 3), len(vertices)) for axis in range(3)], 1
-    )
-    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30))
+    return unit(sums_at_vertices(triangles, face_normals(vertices, triangles), len(vertices)))
 
 
 def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """The mesh without small separate parts and without unused vertices."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    piece = connected(edges, len(vertices))[triangles[:, 0]]
+    piece = part_numbers(triangles, len(vertices))[triangles[:, 0]]
     size = np.bincount(piece)
     kept = triangles[size[piece] >= _LEAST_PIECE * len(triangles)]
     used, renumbered = np.unique(kept, return_inverse=True)
     return vertices[used], renumbered.reshape(-1, 3)
 
 
+def part_numbers(triangles: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """The number of the connected part of the mesh that each of `count` vertices belongs to."""
+    # Two edges of a triangle connect its three vertices.
+    return connected(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)
+
+
+def edges_of(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The three edges of every triangle (3M×2), in the direction in which the triangle runs along them."""
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
 def connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """The number of the connected part that each of `count` vertices belongs to."""
-    sparse = extra("scipy.sparse", "scipy", "the mesh of an object", "object")
-    graph = extra("scipy.sparse.csgraph", "scipy", "the mesh of an object", "object")
-    links = sparse.coo_matrix((np.ones(len(edges), np.int8), tuple(edges.T)), shape=(count, count))
-    return np.asarray(graph.connected_components(links, directed=False)[1], np.int64)
+    links = scipy("sparse").coo_matrix((np.ones(len(edges), np.int8), tuple(edges.T)), shape=(count, count))
+    return np.asarray(scipy("sparse.csgraph").connected_components(links, directed=False)[1], np.int64)
 
 
 def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """The mesh with every open border closed by a fan about its middle: without points, Poisson's surface leaves its bounding box."""
     count = len(vertices)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges = edges_of(triangles)
     there, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
     border = edges[~np.isin(there, back)]
     if not len(border):

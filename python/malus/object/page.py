@@ -25,9 +25,9 @@ from malus.object.meshing import ObjectMesh
 from malus.object.reference import Comparison
 from malus.object.texture import NearestVertices, TexturedMesh
 from malus.object.views import View, sees
-from malus.pages import template
+from malus.pages import base64_text, template
 from malus.units import METERS
-from malus.viewer import base64_text, pack
+from malus.viewer import pack
 
 #: Longest sides of the texture and of a station's map in the page (pixels).
 _TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
@@ -51,12 +51,7 @@ def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
     """A PNG for each station: RMS of the other stations' distances over their standard deviation, blue 0 to red 4."""
-    paths = []
-    for agreement in agreements:
-        path = folder / f"{agreement.view}.png"
-        write_bytes(path, encode(colors_of(agreement.ratio / _MOST_RATIO), "PNG"))
-        paths.append(path)
-    return paths
+    return [_write_map(folder, one.view, colors_of(one.ratio / _MOST_RATIO)) for one in agreements]
 
 
 def write_distances(
@@ -66,15 +61,19 @@ def write_distances(
     find = NearestVertices(mesh)
     paths = []
     for view in views:
-        path = folder / f"{view.name}.png"
         shown = np.full(view.depth.shape, np.nan)
         pixels = np.nonzero(view.usable)
         for some in chunks(len(pixels[0])):
             rows, columns = (places[some] for places in pixels)
             shown[rows, columns] = distances[find(view.points_at(rows, columns))]
-        write_bytes(path, encode(_colors_of_distances(shown, gsd), "PNG"))
-        paths.append(path)
+        paths.append(_write_map(folder, view.name, _colors_of_distances(shown, gsd)))
     return paths
+
+
+def _write_map(folder: Path, station: str, colors: NDArray[np.uint8]) -> Path:
+    path = folder / f"{station}.png"
+    write_bytes(path, encode(colors, "PNG"))
+    return path
 
 
 def _colors_of_distances(distances: NDArray[np.floating], gsd: float) -> NDArray[np.uint8]:
@@ -121,15 +120,15 @@ def _for_the_page(mesh: TexturedMesh) -> TexturedMesh:
     """The mesh with textures that are small enough for the page."""
     return replace(
         mesh,
-        color=_small(mesh.color),
-        normal_map=_small(mesh.normal_map),
-        albedo=None if mesh.albedo is None else _small(mesh.albedo),
+        color=_small(mesh.color, _TEXTURE_SIDE),
+        normal_map=_small(mesh.normal_map, _TEXTURE_SIDE),
+        albedo=None if mesh.albedo is None else _small(mesh.albedo, _TEXTURE_SIDE),
     )
 
 
-def _small(texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    picture = Image.fromarray(texture)
-    picture.thumbnail((_TEXTURE_SIDE, _TEXTURE_SIDE))
+def _small(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    picture = Image.fromarray(pixels)
+    picture.thumbnail((side, side))
     return np.asarray(picture)
 
 
@@ -157,9 +156,8 @@ def _map(path: Path, gsd: float, unit: str) -> _Map:
         colors = colors[_with_room(rows, colors.shape[0]), _with_room(columns, colors.shape[1])]
     across = colors.shape[1] * gsd
     length, label = scale_bar(across, unit)
-    picture = Image.fromarray(colors)
-    picture.thumbnail((_MAP_SIDE, _MAP_SIDE))
-    return _Map(base64_text(encode(np.asarray(picture), "PNG")), *picture.size, 100 * length / across, label)
+    small = _small(colors, _MAP_SIDE)
+    return _Map(base64_text(encode(small, "PNG")), small.shape[1], small.shape[0], 100 * length / across, label)
 
 
 def _with_room(places: NDArray[np.intp], size: int) -> slice:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from malus import _core, registration, scans
 from malus._robust import distance_figures
 from malus.errors import DataError
-from malus.object.meshing import ObjectMesh
+from malus.object.meshing import ObjectMesh, face_normals, sums_at_vertices
 from malus.object.views import Floats, View
 from malus.options import Options
 
@@ -52,9 +52,8 @@ class Reference:
         """Area of the surface that each point represents (N), up to a factor."""
         if self.triangles is None:
             return np.ones(len(self.points))
-        corners = self.points[self.triangles]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        return np.asarray(np.bincount(self.triangles.ravel(), np.repeat(area, 3), len(self.points)), np.float64)
+        areas = np.linalg.norm(face_normals(self.points, self.triangles), axis=1)
+        return sums_at_vertices(self.triangles, areas, len(self.points))
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         {
             **whole["photogrammetry"],
             "station": figures,
-            "scale": whole["scale"],
-            **{name: whole[name] for name in ("control",) if name in whole},
+            **{name: whole[name] for name in ("scale", "control") if name in whole},
         },
         warnings,
     )
@@ -411,7 +410,7 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, s
 
 def is_closed(triangles: NDArray[np.int64]) -> bool:
     """Whether every edge has two triangles that run along it in opposite directions."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges = meshing.edges_of(triangles)
     count = int(triangles.max()) + 1
     there, back = (np.sort(edges[:, k] * count + edges[:, 1 - k]) for k in (0, 1))
     return bool((there[1:] != there[:-1]).all() and (there == back).all())

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus._extra import extra
 from malus.object.arrays import on_disk
-from malus.object.views import LEAST_COSINE, Bools, Floats, Singles, View
+from malus.object.views import LEAST_COSINE, Bools, Floats, Singles, View, scipy, unit
 from malus.workspace import Workspace
 
 Ints = NDArray[np.int64]
@@ -65,7 +64,7 @@ class Phases:
         """Degree (N) of the light that comes from world points (N×3), and the unit normals (2×N×3) of the planes that hold their surface
         normals: first for diffuse, then for specular reflection.
         """
-        ndimage = extra("scipy.ndimage", "scipy", "the surface of an object", "object")
+        ndimage = scipy("ndimage")
         u, v, _ = view.project(points)
         cosine, sine = (ndimage.map_coordinates(values, [v, u], order=1, mode="nearest") for values in self.maps)
         angle = np.arctan2(sine, cosine) / 2  # counter-clockwise as displayed, v down
@@ -113,7 +112,6 @@ class _Cells:
 
     def bends(self) -> Any:
         """Sparse matrix: second differences of pixels in rows and columns."""
-        sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
         parts = []
         for number in (self.number, self.number.T):
             line = np.stack([number[:-2], number[1:-1], number[2:]], -1).reshape(-1, 3)
@@ -121,7 +119,7 @@ class _Cells:
         lines = np.concatenate(parts)
         rows = np.repeat(np.arange(len(lines)), 3)
         values = np.tile([1.0, -2.0, 1.0], len(lines))
-        return sparse.csr_matrix((values, (rows, lines.ravel())), (len(lines), self.unknowns))
+        return scipy("sparse").csr_matrix((values, (rows, lines.ravel())), (len(lines), self.unknowns))
 
 
 def telling(views: Sequence[View], phases: Sequence[Phases]) -> list[tuple[View, Phases]]:
@@ -165,8 +163,7 @@ def _sharpened(view: View, stations: Sequence[tuple[View, Phases]]) -> View:
 
 def _growth(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> Floats:
     """Growth of the depths of the cells' pixels."""
-    sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
-    solvers = extra("scipy.sparse.linalg", "scipy", "the surface of an object", "object")
+    sparse, solvers = scipy("sparse"), scipy("sparse.linalg")
     growth = np.zeros(cells.unknowns)
     asked = _asked(cells, stations)
     place = sparse.diags(cells.across / cells.sigma)
@@ -189,13 +186,13 @@ def _asked(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> list[tuple
     """For each station: the cells that it sees, the degree of polarization there, and the two planes."""
     corners = cells.corners(np.zeros(cells.unknowns))
     points = cells.eye + sum(corners) / 4
-    normals = _unit(_areas(corners))
+    normals = unit(_areas(corners))
     asked = []
     for station, phases in stations:
         if not station.may_see(points):
             continue
         at = station.meet(points)
-        near = np.abs((at.normals * (at.points - points)).sum(1)) < 2 * station.gsd
+        near = np.abs(at.off(points)) < 2 * station.gsd
         which = np.flatnonzero((at.weight > 0) & near & (station.facing(points, normals) > LEAST_COSINE))
         asked.append((which, *phases.planes(station, points[which])))
     return asked
@@ -205,7 +202,6 @@ def _equations(
     cells: _Cells, corners: list[Floats], which: Ints, degree: Floats, planes: Floats
 ) -> tuple[Any, Floats, Floats]:
     """Linear equations of one station for the unknowns: rows, weights and residuals (sines), for the cells whose phase is clear."""
-    sparse = extra("scipy.sparse", "scipy", "the surface of an object", "object")
     right, down = _steps(corners)
     areas = _areas(corners)
     size = np.linalg.norm(areas, axis=1)[which]
@@ -224,7 +220,8 @@ def _equations(
         columns.append(number[which])
     numbers = np.tile(np.arange(len(which)), len(_CORNERS))
     shape = (len(which), cells.unknowns)
-    return sparse.csr_matrix((np.concatenate(values), (numbers, np.concatenate(columns))), shape), weight, sine
+    rows = scipy("sparse").csr_matrix((np.concatenate(values), (numbers, np.concatenate(columns))), shape)
+    return rows, weight, sine
 
 
 def _steps(corners: list[Floats]) -> tuple[Floats, Floats]:
@@ -241,10 +238,6 @@ def _areas(corners: list[Floats]) -> Floats:
     return np.cross(down, right)
 
 
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30))
-
-
 def _moved(view: View, growth: Floats) -> View:
     """The view with its depths changed by a growth (H×W), and normals that are means over the cells about each pixel."""
     height, width = view.depth.shape
@@ -256,7 +249,7 @@ def _moved(view: View, growth: Floats) -> View:
         sums = np.zeros((*cells.pixels.shape, 3))
         for i, j, _, _ in _CORNERS:
             sums[cells.row + i, cells.column + j] += areas
-        moved = np.where(cells.pixels[..., None], _unit(sums), view.normals[window])
+        moved = np.where(cells.pixels[..., None], unit(sums), view.normals[window])
         normals[top : top + _TILE, left : left + _TILE] = moved[inner]
     return replace(view, depth=(view.depth * (1 + growth)).astype(np.float32), normals=normals)
 

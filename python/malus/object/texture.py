@@ -14,8 +14,8 @@ from malus._extra import extra
 from malus.chart import srgb_bytes
 from malus.object.arrays import CHUNK, chunks
 from malus.object.color import Paint
-from malus.object.meshing import ObjectMesh, vertex_normals
-from malus.object.views import Floats
+from malus.object.meshing import ObjectMesh, face_normals, sums_at_vertices, vertex_normals
+from malus.object.views import Floats, scipy, unit
 
 #: Texels per GSD, and the longest side of the texture.
 _TEXELS_PER_GSD = 1.5
@@ -136,10 +136,8 @@ def _baked(flat: TexturedMesh, full: ObjectMesh, paints: Sequence[Paint], coarse
             (shares[..., None] * values[triangles[owner]]).sum(1) for values in (flat.normals, flat.tangents[:, :3])
         )
         texel, where = np.unique(rows * side + columns, return_inverse=True)
-        local = _means(
-            where, _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3]), len(texel)
-        )
-        local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
+        fine = _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3])
+        local = unit(_means(where, fine, len(texel)))
         at = np.unravel_index(texel, (side, side))
         flat.normal_map[at] = np.rint((local + 1) * 127.5).astype(np.uint8)
         for image, paint in zip(painted, paints, strict=True):
@@ -167,14 +165,13 @@ class NearestVertices:
 
     def __init__(self, mesh: ObjectMesh) -> None:
         self._mesh = mesh
-        self._spatial = extra("scipy.spatial", "scipy", "the texture of an object", "object")
         self._whole = self._among(np.arange(len(mesh.vertices))) if len(mesh.vertices) <= _MOST_IN_MEMORY else None
         # Vertices follow each other block by block, so that most chunks lie elsewhere as a whole.
         self._chunks = chunks(len(mesh.vertices)) if self._whole is None else []
         self._boxes = [(mesh.vertices[rows].min(0), mesh.vertices[rows].max(0)) for rows in self._chunks]
 
     def _among(self, rows: NDArray[np.int64]) -> tuple[Any, NDArray[np.int64]]:
-        return self._spatial.cKDTree(self._mesh.vertices[rows]), rows
+        return scipy("spatial").cKDTree(self._mesh.vertices[rows]), rows
 
     def __call__(self, places: Floats) -> NDArray[np.int64]:
         """Numbers (N) of the nearest vertices."""
@@ -201,8 +198,7 @@ def _atlas(
 ) -> tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]:
     """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates. points: N×3, in GSD."""
     xatlas = extra("xatlas", "xatlas", "the texture of an object", "object")
-    corners = points[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    area = np.linalg.norm(face_normals(points, triangles), axis=1).sum() / 2
     side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD, 64, _MOST_SIDE)) // coarseness
     atlas = xatlas.Atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
@@ -250,26 +246,24 @@ def _tangents(points: Floats, normals: Floats, uv: Floats, triangles: NDArray[np
     (u1, v1), (u2, v2) = (t[:, 1] - t[:, 0]).T, (t[:, 2] - t[:, 0]).T
     turn = np.sign(u1 * v2 - u2 * v1)
     along = (e1 * v2[:, None] - e2 * v1[:, None]) * turn[:, None]
-    sums = np.stack([np.bincount(triangles.ravel(), np.repeat(along[:, k], 3), len(points)) for k in range(3)], 1)
+    sums = sums_at_vertices(triangles, along, len(points))
     # Where the texture has no area, u has no direction: take any axis, since glTF requires unit tangents everywhere.
     length = np.linalg.norm(sums - normals * (sums * normals).sum(1, keepdims=True), axis=1)
     nowhere = length < 1e-12 * max(float(length.max(initial=0)), 1e-300)
     sums[nowhere] = np.eye(3)[np.abs(normals[nowhere]).argmin(1)]
     sums -= normals * (sums * normals).sum(1, keepdims=True)
-    side = np.bincount(triangles.ravel(), np.repeat(turn, 3), len(points))
-    unit = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30)
-    return np.concatenate([unit, np.where(side < 0, -1.0, 1.0)[:, None]], 1)
+    side = sums_at_vertices(triangles, turn, len(points))
+    return np.concatenate([unit(sums), np.where(side < 0, -1.0, 1.0)[:, None]], 1)
 
 
 def _tangent_space(fine: Floats, normals: Floats, along: Floats, sign: Floats) -> Floats:
     """Unit normals in the frame of the coarse surface, tangent first (glTF)."""
-    n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    t = along - n * (along * n).sum(1, keepdims=True)
-    t /= np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-30)
+    n = unit(normals)
+    t = unit(along - n * (along * n).sum(1, keepdims=True))
     b = np.cross(n, t) * sign[:, None]
     local = np.stack([(fine * axis).sum(1) for axis in (t, b, n)], 1)
     local[:, 2] = np.maximum(local[:, 2], 0.05)
-    return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
+    return unit(local)
 
 
 def _grow(covered: NDArray[np.bool_], images: Sequence[NDArray[np.uint8]]) -> None:

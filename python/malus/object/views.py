@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,16 @@ _RIM_PX = 2
 _STEP_GSD = 6.0
 
 
+def scipy(module: str) -> ModuleType:
+    """A module of scipy; ExternalError if the package is not installed."""
+    return extra(f"scipy.{module}", "scipy", "the surface of an object", "object")
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors (…×3) divided by their lengths; zero stays zero."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30))
+
+
 @dataclass(frozen=True)
 class Meeting:
     """Where points fall in a view, N each: pixel, depth of the point, and the view's surface in this pixel.
@@ -42,6 +53,10 @@ class Meeting:
     normals: Floats
     sigma: Floats
     weight: Floats
+
+    def off(self, points: Floats) -> Floats:
+        """Signed distance of the surface from the points that were looked up (N×3), along the surface's normal."""
+        return np.asarray((self.normals * (self.points - points)).sum(-1))
 
 
 @dataclass(frozen=True)
@@ -145,21 +160,15 @@ def sees(view: View, points: Floats, normals: Floats) -> Bools:
     if not view.may_see(points):
         return np.zeros(len(points), bool)
     at = view.meet(points)
-    off = np.abs((at.normals * (at.points - points)).sum(1))
     facing = view.facing(points, normals) > LEAST_COSINE
-    return np.asarray((at.weight > 0) & facing & (off < 4 * np.hypot(at.sigma, view.gsd)))
+    return np.asarray((at.weight > 0) & facing & (np.abs(at.off(points)) < 4 * np.hypot(at.sigma, view.gsd)))
 
 
 def stored(view: View, folder: Path) -> View:
     """The view with its maps in files of a new folder."""
-
-    def kept(name: str) -> NDArray[Any]:
-        return on_disk(getattr(view, name), folder / name)
-
-    return replace(
-        view, depth=kept("depth"), normals=kept("normals"), sigma=kept("sigma"), cosine=kept("cosine"),
-        usable=kept("usable"), object=kept("object"), color=kept("color"),
-    )  # fmt: skip
+    names = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
+    maps: dict[str, Any] = {name: on_disk(getattr(view, name), folder / name) for name in names}
+    return replace(view, **maps)
 
 
 def load_view(name: str, folder: Path, most_sigma_gsd: float) -> View:
@@ -211,5 +220,4 @@ def _rims(depth: Floats, gsd: Floats, cosine: Floats, known: Bools) -> Bools:
 
 def _grown(region: Bools) -> Bools:
     """A region and the pixels within _RIM_PX of it."""
-    ndimage = extra("scipy.ndimage", "scipy", "the surface of an object", "object")
-    return np.asarray(ndimage.binary_dilation(region, iterations=_RIM_PX))
+    return np.asarray(scipy("ndimage").binary_dilation(region, iterations=_RIM_PX))

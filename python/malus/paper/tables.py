@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,9 @@ class Table:
     def without_empty(self) -> Table:
         """The table without columns that are empty in all rows."""
         used = [any(row[column] is not None for row in self.rows) for column in range(len(self.header))]
-        return Table(
-            self.name, self.title, _kept(self.header, used), [_kept(row, used) for row in self.rows]
-        )  # fmt: skip
+        return replace(
+            self, header=list(compress(self.header, used)), rows=[list(compress(row, used)) for row in self.rows]
+        )
 
     def in_columns(self) -> list[list[str]]:
         """The cells as text, with the same number of decimals in all cells of a column."""
@@ -63,10 +64,6 @@ def cell_text(cell: str | float | None) -> str:
     if cell is None:
         return "–"
     return cell if isinstance(cell, str) else f"{cell:.3g}"
-
-
-def _kept(cells: Sequence[Any], used: Sequence[bool]) -> list[Any]:
-    return [cell for cell, has in zip(cells, used, strict=True) if has]
 
 
 def _known(value: float | None) -> float | None:

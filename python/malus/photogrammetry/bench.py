@@ -25,7 +25,6 @@ SHARES = {
     "mapping": (0.60, 0.80),
     "adjustment": (0.80, 0.84),
     "station": (0.84, 0.95),
-    "station_features": (0.84, 0.86),
     "windows": (0.95, 0.98),
     "scale": (0.98, 1.00),
 }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote, unquote
@@ -117,12 +117,8 @@ def verified_pairs(database: Path) -> dict[tuple[str, str], int]:
     with closing(sqlite3.connect(database)) as connection:
         names = _image_names(connection)
         rows = connection.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
-        pairs: dict[tuple[str, str], int] = {}
-        for pair, count in rows:
-            second = pair % _PAIR_BASE
-            first = (pair - second) // _PAIR_BASE
-            pairs[names[first], names[second]] = int(count)
-        return pairs
+        ends = ((*divmod(pair, _PAIR_BASE), count) for pair, count in rows)
+        return {(names[first], names[second]): int(count) for first, second, count in ends}
 
 
 def set_camera(database: Path, camera_id: int, params: NDArray[np.float64]) -> None:
@@ -134,7 +130,7 @@ def set_camera(database: Path, camera_id: int, params: NDArray[np.float64]) -> N
         )
 
 
-def connected_groups(names: list[str], pairs: dict[tuple[str, str], int]) -> list[list[str]]:
+def connected_groups(names: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[list[str]]:
     """Groups of images that are linked by pairs, the largest first; images without a pair are groups of their own."""
     group = {name: {name} for name in names}
     for first, second in pairs:

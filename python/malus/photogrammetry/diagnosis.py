@@ -57,7 +57,7 @@ def check_features(counts: Mapping[str, int], log: Log, *, inside_masks: bool = 
 
 def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log) -> None:
     """Warn of photos without matches to the largest group; DataError if no three photos are linked by matches."""
-    groups = connected_groups(list(names), dict(pairs))
+    groups = connected_groups(names, pairs)
     if len(groups[0]) < 3:
         raise DataError(
             f"[photos]: no three of the {len(names)} photos show enough of the same surface ({len(pairs)} pairs match); "

@@ -8,7 +8,6 @@ folder, and finished stages are not repeated (journal).
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +26,7 @@ from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
 from malus.photogrammetry.diagnosis import Log
-from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.journal import Journal, digest
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
@@ -180,7 +179,7 @@ def find_object_cameras(
 
 
 def _placed_at(lens: Camera, camera: Camera) -> Camera:
-    """The lens of the images as taken, with the pose of another camera."""
+    """A lens with the pose of another camera."""
     return replace(lens, rotation=camera.rotation, translation=camera.translation)
 
 
@@ -216,8 +215,7 @@ def _placed_and_scaled(
     points, move it into their frame. said: `scale` and `control`, and the `path` of their file. Returns the placed
     stations, the model and its figures.
     """
-    matched = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
-    placed = matched.placed
+    placed, windows = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     registered = {name: camera for name, camera in placed.model.cameras.items() if name not in views}
     scale, datum = None, None
     try:
@@ -244,7 +242,7 @@ def _placed_and_scaled(
             "reprojection_px": model.mean_error_px,
             "points": len(model.points),
             "relief": solved.model.relief(),
-            "windows": matched.figures,
+            "windows": windows,
             "files": solved.hashes,
         },
         "scale": scale,
@@ -426,7 +424,7 @@ class _Sweep:
             "view": repr(self.view.values()),
             "masks": [[name, hashes[f"mask of {name}"]] for name, _, _ in masked],
             "cameras": repr([camera for _, camera in silhouettes]),
-            "object": hashlib.sha256(self.mask.tobytes()).hexdigest(),
+            "object": digest(self.mask),
         }
 
         def found() -> dict[str, Any]:
@@ -484,8 +482,8 @@ class _Sweep:
             "photos": [
                 (photo.name, hashes[photo.name], repr(camera.values())) for photo, camera in self.cameras.photos
             ],
-            "image": hashlib.sha256(np.ascontiguousarray(self.unpolarized).tobytes() + self.mask.tobytes()).hexdigest(),
-            "points": hashlib.sha256(self.cameras.model.points.tobytes()).hexdigest(),
+            "image": digest(self.unpolarized, self.mask),
+            "points": digest(self.cameras.model.points),
             "options": settings,
         }
         hull = self.hull()
@@ -563,9 +561,7 @@ def sweep_station(
     back while their inputs are unchanged. Where the sweep finds nothing, the visual hull of the photos' masks, if they
     have any, is the depth.
     """
-    raster = lens_of_raster(cameras.station)
-    assert raster is not None
-    view = replace(raster, rotation=cameras.station.rotation, translation=cameras.station.translation)
+    view = _placed_at(lens_of_raster(cameras.station), cameras.station)
     journal = Journal(folder, log)
     sweep = _Sweep(cameras, view, unpolarized, mask, options, threads, progress, journal)
     settings = json.loads(options.to_json())["sweep"]

@@ -1,23 +1,30 @@
-"""Records which stages of the photogrammetry are done, so that an interrupted run continues with the next stage."""
+"""Records which stages of the photogrammetry are done, so that an interrupted run continues with the next stage, and what they took."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import resource
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from malus import _core
 from malus._files import read_record, sha256_of, write_record
 from malus.errors import InputError
 from malus.photogrammetry import database
 from malus.photogrammetry.diagnosis import Log
-from malus.photogrammetry.meter import Meter
 from malus.photogrammetry.program import Colmap
 
 _DATABASES = (".db", ".db-wal", ".db-shm")
+
+
+def digest(*arrays: NDArray[Any]) -> str:
+    """SHA-256 of the numbers of arrays, one after the other, as an input of a stage."""
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 class Journal:
@@ -86,7 +93,7 @@ class Journal:
             mark.unlink(missing_ok=True)
             for output in outputs:
                 self._remove(self.folder / output)
-            meter = Meter(self._colmap)
+            meter = _Meter(self._colmap)
             self._warnings = []
             notes = run()
             self.require_unchanged()
@@ -119,3 +126,30 @@ class Journal:
             shutil.rmtree(path)
         else:
             database.remove(path)
+
+
+def _children_seconds() -> float:
+    """Processor seconds of the child processes that have ended."""
+    use = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return use.ru_utime + use.ru_stime
+
+
+class _Meter:
+    """Measures time, processor time and memory of this process and of COLMAP, from its construction on."""
+
+    def __init__(self, colmap: Colmap | None) -> None:
+        self._colmap = colmap
+        if colmap is not None:
+            colmap.peak_mb = 0.0
+        self._children = _children_seconds()
+        self._watch = _core.StepWatch()
+
+    def stop(self) -> dict[str, float]:
+        """To be called once. `seconds`, `cpu_seconds`, and `peak_mb`, the most memory that this process and COLMAP had together."""
+        times: dict[str, float | None] = json.loads(self._watch.stop())
+        peaks = (times["peak_mb"] or 0.0, self._colmap.peak_mb if self._colmap is not None else 0.0)
+        return {
+            "seconds": round(times["seconds"] or 0.0, 2),
+            "cpu_seconds": round((times["cpu_seconds"] or 0.0) + _children_seconds() - self._children, 2),
+            "peak_mb": round(max(peaks)),
+        }

@@ -44,11 +44,9 @@ class SparseModel:
         model = _core.ColmapModel.read(str(folder))
         images = {}
         for quoted_name, (values, features, observations) in model.images().items():
-            lens, width, height, params, rotation, translation = values
-            camera = Camera(lens, width, height, params, rotation, translation)
-            images[unquoted(quoted_name)] = RegisteredImage(
-                camera, (lens, width, height, *params), features, observations
-            )
+            lens, width, height, params, _, _ = values
+            group = (lens, width, height, *params)
+            images[unquoted(quoted_name)] = RegisteredImage(Camera(*values), group, features, observations)
         points, errors, lengths = model.points()
         return SparseModel(images, points, errors, lengths)
 

@@ -86,7 +86,6 @@ class PhotoCameras:
     model: SparseModel
     calibrated: bool
     unregistered: list[str]
-    pairs: int
     sparing: bool
     """Whether matches are few: they were searched for again, and fewer of them suffice to place an image."""
     hashes: dict[str, str]
@@ -146,7 +145,6 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         model=model,
         calibrated=known is not None,
         unregistered=[photo.name for photo in photos if photo.name not in model.images],
-        pairs=len(pairs),
         sparing=sparing,
         hashes=hashes,
     )
@@ -255,9 +253,9 @@ def _map(
             focal = float(factor or 1) * max(first.width, first.height)
             params = np.array([focal, focal, first.width / 2, first.height / 2, 0, 0, 0, 0])
             database.set_camera(source, database.camera_of(source, first.name), params)
-        models, stopped = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
+        models = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
         best = max(models, key=lambda name: len(models[name]), default=None)
-        tried.append({"focal": factor, "models": models, "best": best, "stopped": stopped})
+        tried.append({"focal": factor, "models": models, "best": best})
         if best is not None and len(models[best]) >= _ENOUGH_SHARE * reachable:
             break
     chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
@@ -273,8 +271,8 @@ def placing(bench: Bench, sparing: bool) -> dict[str, object]:
 
 def _run_mapper(
     bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int, sparing: bool
-) -> tuple[dict[str, list[str]], bool]:
-    """Models by folder (below the bench's folder), each with the names of its photos, and whether the search was stopped."""
+) -> dict[str, list[str]]:
+    """Models by folder (below the bench's folder), each with the names of its photos."""
     target = bench.folder / f"{_prefix(sparing)}sparse" / f"attempt_{attempt}"
     target.mkdir(parents=True)
     fixed = all(group.known is not None for group in groups)
@@ -308,11 +306,10 @@ def _run_mapper(
     def keep_going() -> bool:
         return registered >= MIN_PHOTOS or time.monotonic() - search_start < limit_s
 
-    stopped = False
     try:
         bench.colmap.run("mapper", arguments, bench.log_file("mapping"), on_line=read, keep_going=keep_going)
     except SearchStoppedError:
-        stopped = True
+        pass  # The models that it has found so far count.
     except ExternalError as error:
         if _NO_MODEL not in str(error):
             raise
@@ -320,7 +317,7 @@ def _run_mapper(
     for folder in sorted(target.iterdir()):
         if (folder / "images.bin").exists():
             models[folder.relative_to(bench.folder).as_posix()] = sorted(SparseModel.read(folder).images)
-    return models, stopped
+    return models
 
 
 def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:

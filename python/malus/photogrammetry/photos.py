@@ -172,9 +172,7 @@ def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint
     1 / gamma (gamma 1 for images that are gamma-encoded already). NaN becomes black.
     """
     finite = intensity[np.isfinite(intensity)]
-    if finite.size == 0:
-        return np.zeros(intensity.shape, np.uint8)
-    low, high = np.percentile(finite, [0.1, 99.9])
+    low, high = np.percentile(finite, [0.1, 99.9]) if finite.size else np.zeros(2)
     if not high > low:
         return np.zeros(intensity.shape, np.uint8)
     stretched = np.clip((np.nan_to_num(intensity, nan=low) - low) / (high - low), 0, 1) ** (1 / gamma)

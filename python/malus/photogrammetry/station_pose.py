@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -17,6 +16,7 @@ from malus.camera import Camera
 from malus.errors import DataError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
@@ -73,10 +73,10 @@ def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, St
     inputs = {
         "stations": {
             image: {
-                "image": hashlib.sha256(pixels[image].tobytes()).hexdigest(),
+                "image": digest(pixels[image]),
                 "lens": None if view.lens is None else [view.lens.model, *map(float, view.lens.params)],
                 "shared_with": view.shared_with,
-                **({} if view.mask is None else {"mask": hashlib.sha256((view.mask != 0).tobytes()).hexdigest()}),
+                **({} if view.mask is None else {"mask": digest(view.mask != 0)}),
             }
             for image, view in stations.items()
         },
@@ -186,8 +186,6 @@ def _check_lens(model: SparseModel, image: str, station: StationView) -> None:
         )
 
 
-def lens_of_raster(lens: Camera | None) -> Camera | None:
+def lens_of_raster(lens: Camera) -> Camera:
     """The lens of a station's undistorted raster, in one of COLMAP's models, without pose."""
-    if lens is None:
-        return None
     return Camera("PINHOLE", lens.width, lens.height, lens.undistorted().params)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,19 +13,11 @@ from numpy.typing import NDArray
 from malus import _core
 from malus.photogrammetry import database
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
 from malus.photogrammetry.photos import Photo
 from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
-
-
-@dataclass(frozen=True)
-class MatchedStations:
-    """The stations in the adjusted model, and the figures of the adjustment."""
-
-    placed: PlacedStations
-    figures: dict[str, Any] | None
-    """For quality.json; None when windows were not to be matched."""
 
 
 def match_windows(
@@ -35,23 +26,20 @@ def match_windows(
     solved: PhotoCameras,
     stations: Mapping[str, StationView],
     placed: PlacedStations,
-) -> MatchedStations:
+) -> tuple[PlacedStations, dict[str, Any] | None]:
     """Locate the model's points in all images to hundredths of a pixel and adjust lenses, poses and points to them.
 
     Lenses of stations (by image name) are held fixed if they are known, and the photos' lens if it was given. For points that the
     first placed station sees, the windows are taken from its image. If there are too few matches, the model does not change and a
-    warning is logged.
+    warning is logged. Returns the stations in the adjusted model, and figures for quality.json; None if windows are not to be matched.
     """
     options = bench.options.photos
     if not options.match_windows:
-        return MatchedStations(placed, None)
+        return placed, None
     views = {image: view for image, view in stations.items() if image in placed.model.images}
     freedom = _freedom(solved, views, placed.model)
     inputs = {
-        "images": {
-            image: hashlib.sha256(np.ascontiguousarray(view.unpolarized).tobytes()).hexdigest()
-            for image, view in views.items()
-        },
+        "images": {image: digest(view.unpolarized) for image, view in views.items()},
         "freedom": freedom,
         "options": [options.match_points_a_photo, options.match_radius, options.match_range_px,
                     options.match_min_correlation, options.match_floor_px],
@@ -83,7 +71,7 @@ def match_windows(
     figures: dict[str, Any] = notes["figures"]
     _warn(bench, figures, views)
     folder = bench.folder / "matched"
-    return MatchedStations(replace(placed, folder=folder, model=SparseModel.read(folder)), figures)
+    return replace(placed, folder=folder, model=SparseModel.read(folder)), figures
 
 
 def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
