@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import multiprocessing
@@ -20,7 +19,7 @@ from typing import Any
 
 from malus import _core
 from malus._extra import extra
-from malus._files import read_record, remove_unfinished, write_record, write_text
+from malus._files import read_record, remove_unfinished, sha256_of, write_record, write_text
 from malus.campaign import Campaign, Task
 from malus.columns import csv_text
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
@@ -314,7 +313,7 @@ def _has_results(task: Task) -> bool:
 def _manifest(task: Task) -> str | None:
     """SHA-256 of the manifest of a station's results; None without one."""
     path = task.workspace / "manifest.json"
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    return sha256_of(path) if path.is_file() else None
 
 
 def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:

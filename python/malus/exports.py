@@ -31,12 +31,13 @@ from malus.lengths import shown
 from malus.object import arrays
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
+from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
-from malus.workspace import Raster, Workspace, WorkspaceGiver, folder_of
+from malus.workspace import Raster, Workspace, folder_of
 from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 #: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
@@ -264,19 +265,13 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
         )
 
 
-def _bands(raster: NDArray[np.bool_]) -> list[slice]:
-    """Slices of a raster's rows, some at a time: places and colors of all pixels of 100 megapixels would take tens of GB."""
-    count, width = raster.shape
-    rows = max(1, arrays.CHUNK // width)
-    return [slice(top, min(top + rows, count)) for top in range(0, count, rows)]
-
-
 def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
     photograph = exporter.picture()
-    for rows in _bands(known):
+    # In parts, because places and colors of all pixels of 100 megapixels would take tens of GB.
+    for rows in arrays.chunks(*known.shape):
         places = dem.points(rows)[known[rows]]
         picture[rows][known[rows], :3] = np.rint(sample(photograph, exporter.pixels(places)))
     picture[known, 3] = 255
@@ -397,7 +392,7 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     normals = np.zeros((*dem.elevation.shape, 3), np.float32)
     normals[..., 2] = 1
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
-    for rows in _bands(known):
+    for rows in arrays.chunks(*known.shape):
         places = dem.points(rows)[known[rows]]
         normals[rows][known[rows]] = exporter.world_normals(places) @ frame
     if path.suffix.lower() == ".exr":
@@ -513,7 +508,7 @@ COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
-    work: str | Path | WorkspaceGiver,
+    work: str | Path | Result,
     format: str,
     output: str | Path | None = None,
     *,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._extra import extra
-from malus._files import replacing, sha256_of
+from malus._files import reading, replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
@@ -40,7 +40,9 @@ class Developed:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of a RAW file's image once it is developed."""
+    """Width and height of an image; of a RAW file's, once it is developed."""
+    if not is_raw(path):
+        return _core.image_size(str(path))
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
         with library.imread(str(path)) as raw:
@@ -58,6 +60,11 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
+def is_image(path: Path) -> bool:
+    """Whether the file's suffix is that of an image that can be read, RAW or other."""
+    return is_raw(path) or path.suffix.lower() in IMAGE_SUFFIXES
+
+
 def develop(
     images: Sequence[Path], channel: str, folder: Path, progress: Callable[[float, str], None] = lambda _, __: None
 ) -> Developed:
@@ -72,10 +79,8 @@ def develop(
     developed = []
     for index, path in enumerate(images):
         progress(index / len(images), f"developing {path.name}")
-        try:
+        with reading(path):
             content = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         plane = _PLANES.get(channel)
         recipe = f"{_RECIPE} {library.__version__} {plane}".encode()
         name = f"{name_of(path, content)}{hashlib.sha256(recipe).hexdigest()[:8]}"

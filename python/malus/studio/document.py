@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Table
 
-from malus._files import read_regular, write_bytes
+from malus._files import read_regular, reading, write_bytes
 from malus.errors import InputError
 
 #: Tables that may occur any number of times in a station file.
@@ -42,10 +41,10 @@ class StationDocument:
     @classmethod
     def read(cls, path: Path) -> StationDocument:
         """Read a file; InputError unless it is TOML in UTF-8."""
+        with reading(path):
+            content = read_regular(path)
         try:
-            return cls(path, read_regular(path).decode("utf-8-sig"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+            return cls(path, content.decode("utf-8-sig"))
         except UnicodeDecodeError:
             raise InputError(f"{path}: is not UTF-8 text, expected a station file") from None
 
@@ -111,10 +110,6 @@ class StationDocument:
         self.require(expected)
         write_bytes(self.path, self.text.encode())
         self.digest = digest_of(self.text)
-
-    def relative(self, path: Path) -> str:
-        """The path of another file, relative to this file's folder."""
-        return Path(os.path.relpath(path.resolve(), self.path.resolve().parent)).as_posix()
 
 
 def digest_of(text: str) -> str:

@@ -13,7 +13,7 @@ from malus import _core, exif, station_import
 from malus._files import as_text, is_utf8, natural, open_regular, read_regular, resolved
 from malus.errors import InputError
 from malus.photogrammetry.photos import photo_files
-from malus.raw import IMAGE_SUFFIXES, is_raw
+from malus.raw import is_image, is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
 
@@ -26,10 +26,6 @@ _INSTEAD = "another source above, or the angles typed into the table"
 _SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
 #: Bytes that are searched for the end of a PLY file's header.
 _PLY_HEADER = 8192
-
-
-def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in IMAGE_SUFFIXES or is_raw(path)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -81,7 +77,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
         "images": [
             {"path": root.name(path), "name": path.name, "taken": exif.taken(path), "raw": is_raw(path)}
             for path in files
-            if _is_image(path)
+            if is_image(path)
         ],
         "mask": root.name(mask) if mask is not None and mask in files else None,
         "stations": [root.name(path) for path in files if _is_station(path)],
@@ -92,7 +88,7 @@ def listing(root: Root, name: str) -> dict[str, Any]:
 
 def _count(folder: Path) -> int:
     try:
-        return sum(_is_image(path) for path in folder.iterdir())
+        return sum(is_image(path) for path in folder.iterdir())
     except OSError:
         return 0
 
@@ -158,7 +154,7 @@ def candidates(root: Root) -> dict[str, Any]:
         inside = [here / f for f in sorted(files, key=natural) if root.holds(here / f)]
         priors += [{"kind": kind, "path": root.name(path)} for path in inside if (kind := _kind_of_prior(path))]
         stations += [root.name(path) for path in inside if _is_station(path)]
-        if any(_is_image(path) for path in inside):
+        if any(is_image(path) for path in inside):
             images.append(root.name(here))
     note = (
         f"The folder {root.folder.name} holds more than {_SEARCHED} files: not all stations, models and surfaces below it are listed. "
@@ -204,7 +200,7 @@ def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> li
     said = polarized.get("images") if isinstance(polarized, Mapping) else None
     if isinstance(said, str):
         place = station.parent / said
-        paths = sorted((path for path in place.iterdir() if _is_image(path)), key=_natural) if place.is_dir() else []
+        paths = sorted((path for path in place.iterdir() if is_image(path)), key=_natural) if place.is_dir() else []
     else:
         paths = [
             station.parent / name

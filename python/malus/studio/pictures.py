@@ -14,6 +14,7 @@ from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
 from malus import _core, raw
+from malus._files import reading
 from malus.camera import Camera
 from malus.capture import undistort
 from malus.errors import InputError
@@ -88,10 +89,8 @@ def cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
         return make(path, *more)
 
     def current(path: Path, *more: Hashable) -> Made:
-        try:
+        with reading(path):
             changed = path.stat().st_mtime_ns
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         with lock:
             return made(path, changed, *more)
 
@@ -143,8 +142,3 @@ def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = N
         raise InputError(f"{path}: has no tile {column}, {row}")
     part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
     return encode(np.asarray(part), "JPEG", quality=88)
-
-
-def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of an image in pixels."""
-    return raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))
