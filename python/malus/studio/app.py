@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import datetime
 import itertools
 import json
@@ -344,9 +343,8 @@ class Studio:
     def _overlay(self, query: Json) -> Json:
         station = malus.Station.load(self.root.file(query["path"]))
         picture, cell, (near, far) = masks.overlay_of_prior(station, self._threads)
-        address = "data:image/png;base64," + base64.b64encode(picture).decode()
         near_far = {"near": lengths.shown(near, station.unit, 3), "far": lengths.shown(far, station.unit, 3)}
-        return {"picture": address, "cell": cell, **near_far}
+        return {"picture": picture, "cell": cell, **near_far}
 
     # ---- runs, results ----
 

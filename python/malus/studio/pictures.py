@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -70,6 +71,14 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
         white = max(float(np.percentile(pixels[:: 1 + pixels.shape[0] // 500, :: 1 + pixels.shape[1] // 500], _WHITE_PERCENTILE)), 1e-6)  # fmt: skip
         pixels = np.clip(pixels / white, 0, 1) ** np.float32(1 / 2.2)
     return np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
+
+
+def colored(values: NDArray[Any], colors: str, low: float, high: float) -> NDArray[np.uint8]:
+    """A picture H×W×4 in the colors of a matplotlib color map, transparent where there is no value."""
+    scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
+    picture = np.rint(255 * mpl.colormaps[colors](scaled)).astype(np.uint8)
+    picture[..., 3] = np.where(np.isfinite(values), 255, 0)
+    return picture
 
 
 def _undistorted(pixels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
