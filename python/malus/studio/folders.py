@@ -51,7 +51,7 @@ def is_result(folder: Path) -> bool:
 
 
 def listing(root: Root, name: str) -> dict[str, Any]:
-    """A folder for the page: its folders, images, station files and tables, in natural order."""
+    """A folder for the page: its folders, images and station files, in natural order."""
     folder = root.directory(name)
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
     inside = [path for path in entries if root.holds(path)]
@@ -81,7 +81,6 @@ def listing(root: Root, name: str) -> dict[str, Any]:
         ],
         "mask": root.name(mask) if mask is not None and mask in files else None,
         "stations": [root.name(path) for path in files if _is_station(path)],
-        "tables": [root.name(path) for path in files if path.suffix.lower() == ".csv"],
         "hidden": [as_text(path.name) for path in entries if not is_utf8(path.name)],
     }
 
@@ -95,7 +94,7 @@ def _count(folder: Path) -> int:
 
 def angles(root: Root, folder: str, source: str, names: Sequence[str], first: float, step: float) -> list[dict[str, Any]]:  # fmt: skip
     """Image and angle [deg] of each of `names`, by `source`: "names" (or the folder's table or sidecars, as `malus import`
-    reads them), "table:PATH", or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
+    reads them), or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
 
     Raises InputError if the source does not give the angles.
     """
@@ -108,10 +107,9 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
         order = sorted(range(len(images)), key=lambda index: (str(moments[index]), _natural(images[index])))
         return [{"image": root.name(images[index]), "angle": first + step * place} for place, index in enumerate(order)]
     directory = root.directory(folder)
-    if source.startswith("table:"):
-        shots = station_import.shots_of(directory, None, root.file(source.removeprefix("table:")), None, None)
-    elif set(images) == set(station_import.images_of(directory, station_import.mask_of(directory))):
-        shots = station_import.shots_of(directory, station_import.mask_of(directory), None, None, None, _INSTEAD)
+    mask = station_import.mask_of(directory)
+    if set(images) == set(station_import.images_of(directory, mask)):
+        shots = station_import.shots_of(directory, mask, None, None, None, _INSTEAD)
     else:
         found = _core.angles_of_names(images, directory.name, f"expected {_INSTEAD}")
         shots = [station_import.Shot(path, angle) for path, angle in zip(images, found, strict=True)]

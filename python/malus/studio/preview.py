@@ -95,7 +95,6 @@ def preview(
         "phase": as_picture(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
         "degree_top": top,
         "degree_median": float(np.nanmedian(degree)),
-        "residual_median": float(np.nanmedian(np.asarray(state.residual))),
         "findings": [
             {"severity": f.severity, "message": f.message, "suggestion": f.suggestion} for f in findings
         ],

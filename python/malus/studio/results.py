@@ -67,7 +67,7 @@ def summary(root: Root, folder: Path) -> dict[str, Any]:
         quality = workspace.quality
     except (MalusError, json.JSONDecodeError) as error:
         return {"problem": str(error)}
-    keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
+    keys = ("name", "unit", "gsd", "width", "height", "confidence", "warnings")
     return {
         **{key: quality[key] for key in keys},
         "station": station_of(root, folder),
