@@ -28,7 +28,7 @@ from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
 from malus.lengths import shown
-from malus.object import arrays
+from malus.object import arrays, glb
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
 from malus.result import Result
@@ -223,12 +223,7 @@ def _turn_y_up(path: Path) -> None:
     for scene in document["scenes"]:
         document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
         scene["nodes"] = [len(document["nodes"]) - 1]
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    total = 20 + len(text) + len(rest)
-    head = content[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + content[16:20]
-    write_bytes(path, head + text + rest)
+    write_bytes(path, glb.container(document, content[28 + length :]))
 
 
 def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
