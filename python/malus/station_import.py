@@ -16,6 +16,7 @@ from malus._files import natural, read_regular, reading, relative_path, require_
 from malus.capture import BAYER_PATTERNS
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
+from malus.photogrammetry.model import colmap_params
 from malus.raw import is_image, is_raw
 from malus.units import METERS
 
@@ -127,8 +128,6 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
     ((number, name),) = found
     camera = read_metashape(cameras_xml, number, name)[name]
     rotation, translation = camera.pose()
-    # COLMAP's convention in station files: the first pixel's center is at 0.5.
-    params = [value + 0.5 if 2 <= index < 4 else value for index, value in enumerate(camera.params)]
     note = "# geocentric: prior and control points must be, too; or export all of the project in local coordinates"
     return chunks[number], [
         *([note] if chunks[number].on_earth else []),
@@ -136,7 +135,7 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
         f"model = {_text(camera.model)}",
         f"width = {camera.width}",
         f"height = {camera.height}",
-        f"params = {_numbers(params, 17)}",
+        f"params = {_numbers(colmap_params(camera), 17)}",
         f"qvec = {_numbers(_core.quaternion_of(rotation), 17)}",
         f"tvec = {_numbers(translation, 17)}",
         "",
