@@ -20,6 +20,8 @@ from typing import Any
 from urllib.parse import quote
 from xml.sax.saxutils import escape
 
+from PIL.ExifTags import Base
+
 from malus import _core, exif
 from malus._extra import extra
 from malus._files import replacing, scratch_folder, sha256_of
@@ -48,14 +50,14 @@ TERMS: dict[str, tuple[str, str]] = {
 _PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 #: EXIF tag → name, of the tags that matter for a record of the capture.
 _CAPTURE = {
-    271: "camera maker",
-    272: "camera",
-    36867: "taken at",
-    33434: "exposure time (s)",
-    33437: "aperture (f/)",
-    34855: "ISO sensitivity",
-    37386: "focal length (mm)",
-    42036: "lens",
+    Base.Make: "camera maker",
+    Base.Model: "camera",
+    Base.DateTimeOriginal: "taken at",
+    Base.ExposureTime: "exposure time (s)",
+    Base.FNumber: "aperture (f/)",
+    Base.ISOSpeedRatings: "ISO sensitivity",
+    Base.FocalLength: "focal length (mm)",
+    Base.LensModel: "lens",
 }
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL.ExifTags import Base
 
 from malus import _core
 from malus._extra import extra
@@ -25,7 +26,6 @@ IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 2"
-_DNG_NOISE_PROFILE = 51041
 #: Share of the white level from which a sample is clipped, as by default for a pixel (capture.saturation).
 _CLIPPED = 0.995
 
@@ -151,7 +151,7 @@ def _clip_rims(pixels: NDArray[np.float32]) -> None:
 
 def _noise(path: Path) -> tuple[float | None, float | None]:
     """Electrons at white and electrons of read noise from a DNG's NoiseProfile: variance = S · signal + O, signal in [0, 1]."""
-    profile = tags_of(path).get(_DNG_NOISE_PROFILE)
+    profile = tags_of(path).get(Base.NoiseProfile)
     if not isinstance(profile, tuple) or len(profile) < 2:
         return None, None
     # Pairs (S, O), one per color plane; green is the middle one of three.

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from PIL.ExifTags import Base
+
 from malus import _core, exif, station_import
 from malus._files import as_text, is_utf8, natural, open_regular, read_regular, resolved
 from malus.errors import InputError
@@ -22,8 +24,8 @@ _SEARCHED = 20_000
 _SEARCH_DEPTH = 8
 #: What the page suggests if the angles cannot be found.
 _INSTEAD = "another source above, or the angles typed into the table"
-#: Numbers of two TIFF tags, and the sample format of floating-point pixels.
-_SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
+#: The TIFF tag SampleFormat of floating-point pixels.
+_FLOATING = 3
 #: Bytes that are searched for the end of a PLY file's header.
 _PLY_HEADER = 8192
 
@@ -172,7 +174,8 @@ def _kind_of_prior(path: Path) -> str | None:
     kind = path.suffix.lower()
     if kind in (".tif", ".tiff"):
         tags = exif.tags_of(path)
-        return "depth" if _first(tags.get(_SAMPLE_FORMAT)) == _FLOATING and tags.get(_SAMPLES, 1) == 1 else None
+        is_floating = exif.number_of(tags.get(Base.SampleFormat)) == _FLOATING
+        return "depth" if is_floating and tags.get(Base.SamplesPerPixel, 1) == 1 else None
     if kind == ".ply":
         try:
             with open_regular(path) as file:
@@ -181,10 +184,6 @@ def _kind_of_prior(path: Path) -> str | None:
             return None
         return "mesh" if re.search(rb"element face [1-9]", header) else "cloud"
     return "cloud" if kind == ".xyz" or is_scan(path) else None
-
-
-def _first(value: object) -> object:
-    return value[0] if isinstance(value, tuple) and value else value
 
 
 def images_of_model(path: Path) -> list[str]:
