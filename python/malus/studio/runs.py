@@ -25,7 +25,8 @@ _ENDED = ("done", "failed", "canceled")
 @dataclass
 class Run:
     """One run, waiting, running or ended. title: inputs and result; asked: the page's request, to repeat it; command: makes the arguments
-    of `malus` when the run starts; page: folder of the run's report page; station: the station file, None for a comparison; number: given when the run is queued.
+    of `malus` when the run starts; page: folder of the run's report page; station: the station file, None for a comparison; number:
+    given when the run is queued.
     """
 
     work: Path
