@@ -74,6 +74,11 @@ def resolved(path: str | Path) -> Path:
         raise InputError(f"{str(path)!r} has a character that no file name has") from None
 
 
+def relative_path(path: Path, file: Path) -> str:
+    """The path as a station file `file` names it, relative to its folder."""
+    return Path(os.path.relpath(resolved(path), resolved(file).parent)).as_posix()
+
+
 def open_regular(path: Path) -> BufferedReader:
     """Open a user's file for reading; OSError unless it is a regular file. A pipe could block forever, and a device may have no end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -94,9 +99,15 @@ def read_regular(path: Path) -> bytes:
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes; InputError for a file that cannot be read."""
+    with reading(path), open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn errors while this file is read into InputErrors that name it."""
     try:
-        with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
 

@@ -20,6 +20,8 @@ from typing import Any
 from urllib.parse import quote
 from xml.sax.saxutils import escape
 
+from PIL.ExifTags import Base
+
 from malus import _core, exif
 from malus._extra import extra
 from malus._files import replacing, scratch_folder, sha256_of
@@ -48,14 +50,14 @@ TERMS: dict[str, tuple[str, str]] = {
 _PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
 #: EXIF tag → name, of the tags that matter for a record of the capture.
 _CAPTURE = {
-    271: "camera maker",
-    272: "camera",
-    36867: "taken at",
-    33434: "exposure time (s)",
-    33437: "aperture (f/)",
-    34855: "ISO sensitivity",
-    37386: "focal length (mm)",
-    42036: "lens",
+    Base.Make: "camera maker",
+    Base.Model: "camera",
+    Base.DateTimeOriginal: "taken at",
+    Base.ExposureTime: "exposure time (s)",
+    Base.FNumber: "aperture (f/)",
+    Base.ISOSpeedRatings: "ISO sensitivity",
+    Base.FocalLength: "focal length (mm)",
+    Base.LensModel: "lens",
 }
 
 
@@ -143,14 +145,10 @@ def _place(name: str, sha256: str) -> str:
     return f"inputs/{path}"
 
 
-def _capture_of(path: Path) -> list[dict[str, str]]:
-    """The EXIF data of a photograph about its capture, as schema.org's exifData."""
+def _capture_of(path: Path) -> dict[str, str]:
+    """The EXIF data of a photograph about its capture, by their names."""
     tags = exif.tags_of(path)
-    return [
-        {"@type": "PropertyValue", "name": name, "value": str(tags[tag]).strip("\0 ")}
-        for tag, name in _CAPTURE.items()
-        if tag in tags
-    ]
+    return {name: str(tags[tag]).strip("\0 ") for tag, name in _CAPTURE.items() if tag in tags}
 
 
 class _Crate:
@@ -191,10 +189,10 @@ class _Crate:
             if (stated := entity.get("sha256")) and packed[f"data/{place}"]["sha256"] != stated:
                 raise InputError(f"{self.sources[place]}: was changed while it was packed; run `malus export` again")
 
-    def values(self, owner: str, facts: list[dict[str, str]]) -> list[Any]:
+    def values(self, owner: str, facts: dict[str, str]) -> list[Any]:
         return [
-            self.entity(f"#{owner}-{k}", "PropertyValue", {"name": fact["name"], "value": fact["value"]})
-            for k, fact in enumerate(facts)
+            self.entity(f"#{owner}-{k}", "PropertyValue", {"name": name, "value": value})
+            for k, (name, value) in enumerate(facts.items())
         ]
 
 
@@ -260,11 +258,11 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
     actions = []
     for name, step in manifest["steps"].items():
         times = manifest["times"].get(name, {})
-        settings = [
-            {"name": f"{section}.{key}", "value": json.dumps(value)}
+        settings = {
+            f"{section}.{key}": json.dumps(value)
             for section, values in step.get("options", {}).items()
             for key, value in (values.items() if isinstance(values, dict) else [("", values)])
-        ]
+        }
         made = [crate.placed[f"results/{output}"] for output in step["outputs"]]
         # The manifest does not list which results of earlier steps a step read: take all outputs of the steps on which it depends.
         taken = [inputs[file] for file in step["inputs"] if file in inputs]
@@ -281,12 +279,9 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
         }
         if "finished" in times:
             end = datetime.fromisoformat(times["finished"])
-            action |= {
-                "endTime": end.isoformat(timespec="milliseconds"),
-                "startTime": (end - timedelta(seconds=float(times.get("seconds", 0)))).isoformat(
-                    timespec="milliseconds"
-                ),
-            }
+            start = end - timedelta(seconds=float(times.get("seconds", 0)))
+            action["endTime"] = end.isoformat(timespec="milliseconds")
+            action["startTime"] = start.isoformat(timespec="milliseconds")
         if agent is not None:
             action["agent"] = agent
         actions.append(crate.entity(f"#step-{name}", "CreateAction", action))

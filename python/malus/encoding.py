@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image, ImageCms
+from PIL.ExifTags import Base
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from malus import raw
 from malus.exif import positive, tags_of
 
-_ICC_PROFILE, _MAKE, _COLOR_SPACE, _GAMMA = 34675, 271, 40961, 42240
 _MIDDLE_GRAY, _DARK_GRAY = 128, 32
 #: Exponent of light as a function of encoded values: above the first a file is encoded for a display, below the second it is linear.
 _ENCODED, _LINEAR = 1.5, 1.15
@@ -49,17 +49,17 @@ def encoding_of(path: Path) -> Encoding | None:
         return Encoding(True, "RAW files are linear", 1.0, "linear")
     tags = tags_of(path)
     info, kind = _entries_of(path)
-    profile = info.get("icc_profile") or tags.get(_ICC_PROFILE)
+    profile = info.get("icc_profile") or tags.get(Base.InterColorProfile)
     if isinstance(profile, bytes):
         return _of_profile(profile)
     if "srgb" in info:
         return Encoding(False, "the PNG file says sRGB", _SRGB_EXPONENT)
     if isinstance(info.get("gamma"), float) and info["gamma"] > 0:
         return _of_exponent(1 / info["gamma"], f"the PNG file says gamma {1 / info['gamma']:.2g}")
-    if (gamma := positive(tags.get(_GAMMA))) is not None:
+    if (gamma := positive(tags.get(Base.Gamma))) is not None:
         return _of_exponent(gamma, f"the EXIF data say gamma {gamma:.2g}")
     # A camera's JPEG files are always encoded. For other formats the color space alone is not conclusive.
-    if kind == "JPEG" and (tags.get(_COLOR_SPACE) == 1 or _MAKE in tags):
+    if kind == "JPEG" and (tags.get(Base.ColorSpace) == 1 or Base.Make in tags):
         return Encoding(False, "it is a JPEG file of a camera")
     return None
 

@@ -10,6 +10,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+from PIL.ExifTags import IFD, Base
 from PIL.Image import Image
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
@@ -19,12 +20,6 @@ from malus import _core
 from malus._files import open_regular
 from malus.errors import InputError
 
-_EXIF_IFD = 34665
-_EXPOSURE_TIME = 33434
-_DATE_TAKEN = 36867
-_SUBSECOND = 37521
-_WHITE_BALANCE = 41987
-_ORIENTATION = 274
 #: What viewers do with an image by its orientation; 1 = nothing. From 5 on, width and height are exchanged.
 _TURNED = {
     2: "mirrored",
@@ -37,12 +32,12 @@ _TURNED = {
 }
 #: Tags that must not change within a station, their names and units.
 _ALIKE: dict[int, tuple[str, str]] = {
-    _EXPOSURE_TIME: ("exposure time", " s"),
-    34855: ("ISO sensitivity", ""),
-    33437: ("aperture f/", ""),
-    37386: ("focal length", " mm"),
-    37382: ("focus distance", " m"),
-    _WHITE_BALANCE: ("white balance", ""),
+    Base.ExposureTime: ("exposure time", " s"),
+    Base.ISOSpeedRatings: ("ISO sensitivity", ""),
+    Base.FNumber: ("aperture f/", ""),
+    Base.FocalLength: ("focal length", " mm"),
+    Base.SubjectDistance: ("focus distance", " m"),
+    Base.WhiteBalance: ("white balance", ""),
 }
 #: Relative difference up to which two values count as equal, because cameras round them.
 _SAME = 1e-3
@@ -72,7 +67,7 @@ def _read_tags(path: Path) -> dict[int, Any]:
             file.seek(directory.next)
             directory.load(file)
             tags = dict(directory)
-            if isinstance(offset := tags.get(_EXIF_IFD), int):
+            if isinstance(offset := tags.get(IFD.Exif), int):
                 detail = ImageFileDirectory_v2(header)
                 file.seek(offset)
                 detail.load(file)
@@ -86,7 +81,7 @@ def _read_tags(path: Path) -> dict[int, Any]:
                 image.info["exif"] = found
             # Not the function of PngImageFile, which decodes all pixels if no tags lie before them.
             exif = Image.getexif(image)
-            return dict(exif) | dict(exif.get_ifd(_EXIF_IFD))
+            return dict(exif) | dict(exif.get_ifd(IFD.Exif))
 
 
 def _png_exif(file: BufferedReader) -> bytes | None:
@@ -105,10 +100,10 @@ def _png_exif(file: BufferedReader) -> bytes | None:
 def taken(path: Path) -> str | None:
     """When an image was taken, in the camera's form ("2026:05:04 10:11:12.57"), which sorts by time; None if the file does not say."""
     tags = tags_of(path)
-    moment = tags.get(_DATE_TAKEN)
+    moment = tags.get(Base.DateTimeOriginal)
     if not isinstance(moment, str) or not moment.strip():
         return None
-    fraction = str(tags.get(_SUBSECOND, "")).strip()
+    fraction = str(tags.get(Base.SubsecTimeOriginal, "")).strip()
     return f"{moment.strip()}.{fraction}" if fraction else moment.strip()
 
 
@@ -120,7 +115,7 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
     """
     tags = [tags_of(path) for path in images]
     for tag, (name, unit) in _ALIKE.items():
-        if tag == _EXPOSURE_TIME and exposures_differ:
+        if tag == Base.ExposureTime and exposures_differ:
             continue
         first: tuple[Path, float] | None = None
         for path, values in zip(images, tags, strict=True):
@@ -133,7 +128,7 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
                 raise InputError(
                     f"{path}: {name} {_shown(tag, value)}{unit}, but {first[0].name} has {_shown(tag, first[1])}{unit}; "
                     "expected the same for all polarized images of a station"
-                    + (" (or exposure_s, if they differ on purpose)" if tag == _EXPOSURE_TIME else "")
+                    + (" (or exposure_s, if they differ on purpose)" if tag == Base.ExposureTime else "")
                 )
 
 
@@ -144,7 +139,7 @@ def exposure_doubts(images: Sequence[Path], exposure_s: Sequence[float] | None) 
     """
     first: tuple[Path, float, float] | None = None
     for path, stated in zip(images, exposure_s or (), strict=False):
-        seconds = number_of(tags_of(path).get(_EXPOSURE_TIME))
+        seconds = number_of(tags_of(path).get(Base.ExposureTime))
         if seconds is None or seconds <= 0:
             continue
         first = first or (path, seconds, stated)
@@ -164,7 +159,7 @@ def mask_notes(images: Sequence[Path], mask: Path | None) -> list[tuple[str, str
     """
     if not images or mask is None:
         return []
-    of_image, of_mask = (tags_of(path).get(_ORIENTATION, 1) for path in (images[0], mask))
+    of_image, of_mask = (tags_of(path).get(Base.Orientation, 1) for path in (images[0], mask))
     if of_image == of_mask or of_image not in _TURNED:
         return []
     # Drawn on a picture turned by 90° the mask would have another size, unless it is square.
@@ -195,8 +190,8 @@ def positive(value: object) -> float | None:
 
 
 def _shown(tag: int, value: float) -> str:
-    if tag == _EXPOSURE_TIME and 0 < value < 0.4:
+    if tag == Base.ExposureTime and 0 < value < 0.4:
         return f"1/{1 / value:.6g}"
-    if tag == _WHITE_BALANCE:
+    if tag == Base.WhiteBalance:
         return "manual" if value else "automatic"
     return f"{value:.6g}"

@@ -28,58 +28,63 @@ from malus.errors import DataError, InputError
 from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
 from malus.lengths import shown
-from malus.object import arrays
+from malus.object import arrays, glb
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
+from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
-from malus.workspace import Raster, Workspace, WorkspaceGiver, folder_of
+from malus.workspace import Raster, Workspace, folder_of
 from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 #: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
 _MOST_ROUNDING_GSD = 0.1
 
 
+@dataclass(frozen=True)
+class Wishes:
+    """Options of `export`.
+
+    albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
+    chart: converts the camera's colors to sRGB; without it the camera's colors are only brightened by `surface.white_percentile`.
+    trim: pixels whose standard deviation exceeds this many GSD are left out. fill: holes are closed, in the color FILLED_COLOR.
+    """
+
+    faces: int | None = None
+    interval: float | None = None
+    y_up: bool = False
+    albedo: bool = False
+    chart: ColorCorrection | None = None
+    url: str | None = None
+    trim: float | None = None
+    fill: bool = False
+
+
 class Exporter:
     """Computes what the export formats need from a workspace: mesh, point cloud, elevation model, colors and texts."""
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        threads: int = ALL_CORES,
-        *,
-        albedo: bool = False,
-        chart: ColorCorrection | None = None,
-        trim: float | None = None,
-        fill: bool = False,
-    ) -> None:
-        """albedo: colors are the object's own, without highlights and shading, instead of those of the photograph.
-
-        chart: converts the camera's colors to sRGB; without it the camera's colors are only brightened by `surface.white_percentile`.
-        trim: pixels whose standard deviation exceeds this many GSD are left out. fill: holes are closed, in the color FILLED_COLOR.
-        """
+    def __init__(self, workspace: Workspace, threads: int = ALL_CORES, wishes: Wishes = Wishes()) -> None:
         self.workspace = workspace
-        self.albedo = albedo
-        self.chart = chart
         self.threads = threads
+        self.wishes = wishes
         self.unit = str(workspace.quality["unit"])
         self.name = str(workspace.quality["name"])
         self.options = workspace.options()
         self.surface = workspace.surface()
-        if trim is not None:
-            self.surface = trimmed(self.surface, trim * float(workspace.quality["gsd"]))
+        if wishes.trim is not None:
+            self.surface = trimmed(self.surface, wishes.trim * float(workspace.quality["gsd"]))
         self.filled: NDArray[np.bool_] | None = None
-        if fill:
+        if wishes.fill:
             self.surface, self.filled = filled(self.surface)
         self.rotation, self.translation = workspace.pose
 
     @cached_property
     def color(self) -> Raster:
         """Linear color of the object, H×W or H×W×3: as photographed, without polarization, or its albedo."""
-        return albedo_of(self.workspace) if self.albedo else self.workspace.color()
+        return albedo_of(self.workspace) if self.wishes.albedo else self.workspace.color()
 
     def picture(self) -> NDArray[np.uint8]:
         """The object's color, sRGB, H×W×3."""
@@ -91,16 +96,16 @@ class Exporter:
 
     def _photograph(self) -> NDArray[np.uint8]:
         color = self.color
-        if self.chart is not None:
+        if self.wishes.chart is not None:
             if color.ndim != 3:
                 raise InputError(f"{self.workspace.folder}: was taken in gray, a color chart is for a station in color")
-            return self.chart.encoded(color)
+            return self.wishes.chart.encoded(color)
         return _core.display_image(color, self.surface.depth, self.options.surface.white_percentile)
 
     def mesh(self) -> Mesh:
         """The surface at full size, as in fused/surface.ply."""
         mesh = mesh_from_depth(self.surface, color=self.color, options=self.options, threads=self.threads)
-        if self.chart is None and self.filled is None:
+        if self.wishes.chart is None and self.filled is None:
             return mesh
         colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
         return replace(mesh, colors=colors)
@@ -149,9 +154,9 @@ class Exporter:
         )
         return unit
 
-    def simplified(self, faces: int | None) -> Mesh:
-        """The surface with at most `faces` triangles (quadric error metric); normals and colors from the full rasters."""
-        mesh = self.mesh()
+    def simplified(self) -> Mesh:
+        """The surface with at most `wishes.faces` triangles (quadric error metric); normals and colors from the full rasters."""
+        mesh, faces = self.mesh(), self.wishes.faces
         if faces is None or len(mesh.triangles) <= faces:
             return mesh
         library = extra("fast_simplification", "fast-simplification", "a mesh with fewer triangles (--faces)")
@@ -185,31 +190,21 @@ class Exporter:
         return mesh, sample_known(self.surface.sigma, self.pixels(mesh.vertices))
 
 
-@dataclass(frozen=True)
-class Wishes:
-    """Options of single formats, as `export` takes them."""
-
-    faces: int | None = None
-    interval: float | None = None
-    y_up: bool = False
-    url: str | None = None
-
-
-def _write_ply(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    mesh = exporter.simplified(wishes.faces)
+def _write_ply(exporter: Exporter, path: Path) -> None:
+    mesh = exporter.simplified()
     _core.write_ply(
         str(path), mesh.vertices, mesh.normals, mesh.colors, mesh.triangles, exporter.words(), exporter.threads
     )
 
 
-def _write_glb(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    mesh = exporter.simplified(wishes.faces)
+def _write_glb(exporter: Exporter, path: Path) -> None:
+    mesh = exporter.simplified()
     workspace = exporter.workspace
     _core.write_glb(
         str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
         exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
     )  # fmt: skip
-    if wishes.y_up:
+    if exporter.wishes.y_up:
         _turn_y_up(path)
 
 
@@ -222,16 +217,11 @@ def _turn_y_up(path: Path) -> None:
     for scene in document["scenes"]:
         document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
         scene["nodes"] = [len(document["nodes"]) - 1]
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    total = 20 + len(text) + len(rest)
-    head = content[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + content[16:20]
-    write_bytes(path, head + text + rest)
+    write_bytes(path, glb.container(document, content[28 + length :]))
 
 
-def _write_stl(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    mesh = exporter.simplified(wishes.faces)
+def _write_stl(exporter: Exporter, path: Path) -> None:
+    mesh = exporter.simplified()
     _require_few_digits(exporter, mesh, path)
     with replacing(path) as temporary, temporary.open("wb") as file:
         # The header has only 80 bytes: the statements about trust come before the name. It must not begin with the name, which could
@@ -264,19 +254,13 @@ def _require_few_digits(exporter: Exporter, mesh: Mesh, path: Path) -> None:
         )
 
 
-def _bands(raster: NDArray[np.bool_]) -> list[slice]:
-    """Slices of a raster's rows, some at a time: places and colors of all pixels of 100 megapixels would take tens of GB."""
-    count, width = raster.shape
-    rows = max(1, arrays.CHUNK // width)
-    return [slice(top, min(top + rows, count)) for top in range(0, count, rows)]
-
-
-def _write_orthophoto(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_orthophoto(exporter: Exporter, path: Path) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
     photograph = exporter.picture()
-    for rows in _bands(known):
+    # In parts, because places and colors of all pixels of 100 megapixels would take tens of GB.
+    for rows in arrays.chunks(*known.shape):
         places = dem.points(rows)[known[rows]]
         picture[rows][known[rows], :3] = np.rint(sample(photograph, exporter.pixels(places)))
     picture[known, 3] = 255
@@ -293,11 +277,11 @@ def _write_drawing(path: Path, layers: list[drawings.Layer], exporter: Exporter,
         drawings.write_svg(path, layers, exporter.unit, f"{exporter.name}: {title}", "\n".join(exporter.words()))
 
 
-def _write_contours(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    _write_drawing(path, drawings.contours(exporter.dem(), wishes.interval), exporter, "contour lines")
+def _write_contours(exporter: Exporter, path: Path) -> None:
+    _write_drawing(path, drawings.contours(exporter.dem(), exporter.wishes.interval), exporter, "contour lines")
 
 
-def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_sections(exporter: Exporter, path: Path) -> None:
     profiles = exporter.workspace.quality["profiles"]
     if not profiles:
         raise InputError(f"{path}: the station file has no [[profile]], along which to cut")
@@ -313,21 +297,21 @@ def _write_sections(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     _write_drawing(path, [layer for section in sections for layer in section], exporter, "sections")
 
 
-def _write_colmap(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_colmap(exporter: Exporter, path: Path) -> None:
     write_colmap_workspace(exporter.workspace, exporter.picture(), exporter.xmp(), path)
 
 
-def _write_rti(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_rti(exporter: Exporter, path: Path) -> None:
     write_rti(exporter.workspace, path)
     # The PTM format has no field for text.
     write_text(path.with_suffix(".ptm.txt"), "".join(f"{line}\n" for line in exporter.words()))
 
 
-def _write_relight(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_relight(exporter: Exporter, path: Path) -> None:
     write_relight(exporter.workspace, path, exporter.said, exporter.xmp())
 
 
-def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_iiif(exporter: Exporter, path: Path) -> None:
     gsd = float(exporter.workspace.quality["gsd"])
     relief = gray(hillshade(flattened(exporter.surface.depth), gsd))[..., :1]
     pictures = {
@@ -335,12 +319,12 @@ def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         "relief": ("Relief, light from the upper left", np.repeat(relief, 3, axis=-1)),
     }
     if exporter.workspace.mirrored_share() is not None:
-        own = Exporter(exporter.workspace, exporter.threads, albedo=True, chart=exporter.chart)
+        own = Exporter(exporter.workspace, exporter.threads, Wishes(albedo=True, chart=exporter.wishes.chart))
         pictures["albedo"] = ("Color without highlights and shading", own.picture())
     write_iiif(
         path,
         pictures,
-        address=wishes.url or "http://localhost:8000",
+        address=exporter.wishes.url or "http://localhost:8000",
         name=exporter.name,
         words=exporter.catalog,
         summary=f"Surface from polarization and stereo, one pixel is {exporter.trust['pixel']}, "
@@ -348,12 +332,12 @@ def _write_iiif(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     )
 
 
-def _write_archive(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_archive(exporter: Exporter, path: Path) -> None:
     archive.write_archive(exporter.workspace.folder, path)
 
 
-def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
-    mesh = exporter.simplified(wishes.faces)
+def _write_obj(exporter: Exporter, path: Path) -> None:
+    mesh = exporter.simplified()
     texture, material = files_beside("obj", path)
     save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
@@ -378,7 +362,7 @@ def _write_obj(exporter: Exporter, path: Path, wishes: Wishes) -> None:
             np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
 
 
-def _write_dem(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_dem(exporter: Exporter, path: Path) -> None:
     with replacing(path) as temporary:
         shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
         tag_tiff(temporary, exporter.xmp())
@@ -391,13 +375,13 @@ def _write_exr(exporter: Exporter, path: Path, channels: dict[str, NDArray[np.fl
         file.write(str(temporary))
 
 
-def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_normal_map(exporter: Exporter, path: Path) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     normals = np.zeros((*dem.elevation.shape, 3), np.float32)
     normals[..., 2] = 1
     frame = np.stack([dem.right, dem.up, dem.normal], -1)
-    for rows in _bands(known):
+    for rows in arrays.chunks(*known.shape):
         places = dem.points(rows)[known[rows]]
         normals[rows][known[rows]] = exporter.world_normals(places) @ frame
     if path.suffix.lower() == ".exr":
@@ -410,7 +394,7 @@ def _write_normal_map(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         tag(temporary, exporter.xmp())
 
 
-def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_displacement(exporter: Exporter, path: Path) -> None:
     # Renderers know no missing values: pixels without elevation get 0, the fitted plane.
     elevation = np.nan_to_num(exporter.dem().elevation)
     if path.suffix.lower() == ".exr":
@@ -421,7 +405,7 @@ def _write_displacement(exporter: Exporter, path: Path, wishes: Wishes) -> None:
             tag_tiff(temporary, exporter.xmp())
 
 
-def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_las(exporter: Exporter, path: Path) -> None:
     library = extra("laspy", "laspy", f"{path}: LAS")
     if path.suffix.lower() == ".laz":
         extra("lazrs", "lazrs", f"{path}: LAZ")
@@ -449,7 +433,7 @@ def _write_las(exporter: Exporter, path: Path, wishes: Wishes) -> None:
         points.write(str(temporary))
 
 
-def _write_xyz(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_xyz(exporter: Exporter, path: Path) -> None:
     cloud, sigma = exporter.cloud()
     length = f"%.{exporter.decimals}f"
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
@@ -461,7 +445,7 @@ def _write_xyz(exporter: Exporter, path: Path, wishes: Wishes) -> None:
             np.savetxt(file, table, " ".join([*[length] * 3, "%d %d %d", "%.5f %.5f %.5f", length]))
 
 
-def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
+def _write_e57(exporter: Exporter, path: Path) -> None:
     cloud, _ = exporter.cloud()
     points = cloud.vertices * METERS[exporter.unit]
     # Floats of 32 bits are written. Far from the origin, as in a national grid, points are stored about their middle, which the scan's
@@ -473,7 +457,7 @@ def _write_e57(exporter: Exporter, path: Path, wishes: Wishes) -> None:
     write_e57(path, points - middle, cloud.normals, cloud.colors, middle, name, said)
 
 
-Writer = Callable[[Exporter, Path, Wishes], None]
+Writer = Callable[[Exporter, Path], None]
 
 #: For each format: its writer, its file name in WORK/export/ and the suffixes that an output path may have.
 FORMATS: dict[str, tuple[Writer, str, tuple[str, ...]]] = {
@@ -513,7 +497,7 @@ COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
-    work: str | Path | WorkspaceGiver,
+    work: str | Path | Result,
     format: str,
     output: str | Path | None = None,
     *,
@@ -581,10 +565,11 @@ def export(
                 f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}"
             )
         correction = None if chart is None else ColorCorrection.load(chart)
-        exporter = Exporter(Workspace(folder), threads, albedo=albedo, chart=correction, trim=trim, fill=fill)
+        wishes = Wishes(faces, interval, y_up, albedo, correction, url, trim, fill)
+        exporter = Exporter(Workspace(folder), threads, wishes)
         with writing(path):
             remove_unfinished(path.parent, older_than_s=UNTIL_LEFT_S, start=path.stem)
-            write(exporter, path, Wishes(faces, interval, y_up, url))
+            write(exporter, path)
             _keep_if_unchanged(path, exporter.workspace, files_beside(format, path))
             exported.note(exporter.workspace, path)
     return path

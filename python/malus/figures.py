@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import threading
 import unicodedata
@@ -111,6 +112,11 @@ def encode(picture: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(picture)).save(buffer, kind, **options)
     return buffer.getvalue()
+
+
+def data_url(picture: NDArray[np.uint8], kind: str, **options: Any) -> str:
+    """Address for a web page that contains the picture itself; as `encode`."""
+    return f"data:image/{kind.lower()};base64,{base64.b64encode(encode(picture, kind, **options)).decode()}"
 
 
 def reduced(raster: NDArray[Any], step: int) -> Raster:

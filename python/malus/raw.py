@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL.ExifTags import Base
 
 from malus import _core
 from malus._extra import extra
-from malus._files import replacing, sha256_of
+from malus._files import reading, replacing, sha256_of
 from malus.errors import InputError
 from malus.exif import tags_of
 
@@ -25,7 +26,6 @@ IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 2"
-_DNG_NOISE_PROFILE = 51041
 #: Share of the white level from which a sample is clipped, as by default for a pixel (capture.saturation).
 _CLIPPED = 0.995
 
@@ -40,7 +40,9 @@ class Developed:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of a RAW file's image once it is developed."""
+    """Width and height of an image; of a RAW file's, once it is developed."""
+    if not is_raw(path):
+        return _core.image_size(str(path))
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
         with library.imread(str(path)) as raw:
@@ -58,6 +60,11 @@ def is_raw(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
+def is_image(path: Path) -> bool:
+    """Whether the file's suffix is that of an image that can be read, RAW or other."""
+    return is_raw(path) or path.suffix.lower() in IMAGE_SUFFIXES
+
+
 def develop(
     images: Sequence[Path], channel: str, folder: Path, progress: Callable[[float, str], None] = lambda _, __: None
 ) -> Developed:
@@ -72,10 +79,8 @@ def develop(
     developed = []
     for index, path in enumerate(images):
         progress(index / len(images), f"developing {path.name}")
-        try:
+        with reading(path):
             content = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         plane = _PLANES.get(channel)
         recipe = f"{_RECIPE} {library.__version__} {plane}".encode()
         name = f"{name_of(path, content)}{hashlib.sha256(recipe).hexdigest()[:8]}"
@@ -146,7 +151,7 @@ def _clip_rims(pixels: NDArray[np.float32]) -> None:
 
 def _noise(path: Path) -> tuple[float | None, float | None]:
     """Electrons at white and electrons of read noise from a DNG's NoiseProfile: variance = S · signal + O, signal in [0, 1]."""
-    profile = tags_of(path).get(_DNG_NOISE_PROFILE)
+    profile = tags_of(path).get(Base.NoiseProfile)
     if not isinstance(profile, tuple) or len(profile) < 2:
         return None, None
     # Pairs (S, O), one per color plane; green is the middle one of three.

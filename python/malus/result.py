@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -127,11 +126,11 @@ class Result:
         return f"Result({self.name!r}: {self._summary()})"
 
     def _repr_html_(self) -> str:
-        from malus.figures import encode
+        from malus.figures import data_url
 
         pictures = "".join(
             f'<figure style="display:inline-block;margin:4px"><img alt="Relief shading of the {title} surface" '
-            f'src="data:image/png;base64,{base64.b64encode(encode(picture, "PNG")).decode()}">'
+            f'src="{data_url(picture, "PNG")}">'
             f"<figcaption>{title}</figcaption></figure>"
             for title, picture in self.pictures().items()
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from malus import _core
-from malus._files import natural, read_regular, require_utf8, resolved, write_text
+from malus._files import natural, read_regular, reading, relative_path, require_utf8, resolved, write_text
 from malus.capture import BAYER_PATTERNS
 from malus.errors import InputError
 from malus.photogrammetry.metashape import MetashapeChunk, metashape_chunks, read_metashape
-from malus.raw import IMAGE_SUFFIXES, is_raw
+from malus.photogrammetry.model import colmap_params
+from malus.raw import is_image, is_raw
 from malus.units import METERS
 
 _FILE_COLUMNS = ("image", "file", "filename", "name")
@@ -93,13 +93,13 @@ def import_station(
     else:
         lines = _shot_lines(shots_of(folder, mask, table, pattern, angles), output)
     if mask is not None:
-        lines.append(f"mask = {_text(_relative(mask, output))}")
+        lines.append(f"mask = {_text(relative_path(mask, output))}")
     camera: list[str] = []
     if metashape is not None and label is not None:
         chunk, camera = _camera_lines(Path(metashape), label)
         if unit is None and chunk.in_meters:
             unit = "m"
-    prior = [] if cloud is None else ["[prior]", f"cloud = {_text(_relative(Path(cloud), output))}", ""]
+    prior = [] if cloud is None else ["[prior]", f"cloud = {_text(relative_path(Path(cloud), output))}", ""]
     missing = [part for part, lines_of in (("[camera]", camera), ("[prior]", prior)) if not lines_of]
     note = [f"# To come: {' and '.join(missing)}."] if missing else []
     if len(missing) == 2:
@@ -128,8 +128,6 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
     ((number, name),) = found
     camera = read_metashape(cameras_xml, number, name)[name]
     rotation, translation = camera.pose()
-    # COLMAP's convention in station files: the first pixel's center is at 0.5.
-    params = [value + 0.5 if 2 <= index < 4 else value for index, value in enumerate(camera.params)]
     note = "# geocentric: prior and control points must be, too; or export all of the project in local coordinates"
     return chunks[number], [
         *([note] if chunks[number].on_earth else []),
@@ -137,15 +135,15 @@ def _camera_lines(cameras_xml: Path, label: str) -> tuple[MetashapeChunk, list[s
         f"model = {_text(camera.model)}",
         f"width = {camera.width}",
         f"height = {camera.height}",
-        f"params = {_numbers(params)}",
-        f"qvec = {_numbers(_core.quaternion_of(rotation))}",
-        f"tvec = {_numbers(translation)}",
+        f"params = {_numbers(colmap_params(camera), 17)}",
+        f"qvec = {_numbers(_core.quaternion_of(rotation), 17)}",
+        f"tvec = {_numbers(translation, 17)}",
         "",
     ]
 
 
-def _numbers(values: Iterable[float]) -> str:
-    return "[" + ", ".join(f"{float(value):.17g}" for value in values) + "]"
+def _numbers(values: Iterable[float], digits: int = 10) -> str:
+    return "[" + ", ".join(f"{value:.{digits}g}" for value in values) + "]"
 
 
 def _visible(folder: Path) -> list[Path]:
@@ -162,7 +160,7 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
     """The folder's RAW files, or, without RAW files, its other images except the mask, in natural order; InputError for none."""
     files = [path for path in _visible(folder) if path.is_file() and path != mask]
     raw = [path for path in files if is_raw(path)]
-    images = raw or [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES]
+    images = raw or [path for path in files if is_image(path)]
     if not images:
         kinds = sorted({path.suffix for path in files if path.suffix})
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
@@ -240,10 +238,8 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     Spreadsheet programs do not always write UTF-8. Their column separator depends on the country, and numbers may have decimal
     commas if the separator is another sign.
     """
-    try:
+    with reading(table):
         content = read_regular(table)
-    except OSError as error:
-        raise InputError(f"{table}: cannot be read ({error.strerror or error})") from None
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
     else:
@@ -340,7 +336,7 @@ def _image_of_sidecar(content: dict[str, Any], path: Path, images: Sequence[Path
             raise InputError(f"{path}: filename = {content['filename']!r}, no such file beside it")
     else:
         image = next((image for image in images if image.stem == path.stem), path)
-    if image.suffix.lower() not in IMAGE_SUFFIXES and not is_raw(image):
+    if not is_image(image):
         raise InputError(f"{path}: its image is {image.name}, expected PNG, TIFF, JPEG or RAW")
     return image
 
@@ -363,20 +359,16 @@ def _angle_of_sidecar(content: dict[str, Any], path: Path) -> float | None:
     return math.degrees(math.atan2(first[2], first[1]) / 2) % 180
 
 
-def _relative(path: Path, output: Path) -> str:
-    return Path(os.path.relpath(resolved(path), resolved(output).parent)).as_posix()
-
-
 def _text(value: str) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
 def _shot_lines(shots: list[Shot], output: Path) -> list[str]:
-    images = ", ".join(_text(_relative(shot.image, output)) for shot in shots)
-    lines = [f"images = [{images}]", f"angles_deg = [{', '.join(f'{shot.angle_deg:.10g}' for shot in shots)}]"]
-    exposures = [shot.exposure_s for shot in shots]
-    if len({exposure for exposure in exposures if exposure is not None}) > 1:
-        lines.append(f"exposure_s = [{', '.join(f'{exposure:.10g}' for exposure in exposures)}]")
+    images = ", ".join(_text(relative_path(shot.image, output)) for shot in shots)
+    lines = [f"images = [{images}]", f"angles_deg = {_numbers(shot.angle_deg for shot in shots)}"]
+    exposures = [shot.exposure_s for shot in shots if shot.exposure_s is not None]
+    if len(set(exposures)) > 1:
+        lines.append(f"exposure_s = {_numbers(exposures)}")
     return lines
 
 
@@ -385,6 +377,6 @@ def _mosaic_lines(images: list[Path], output: Path, mosaic: Sequence[float], col
         raise InputError(f"--mosaic has {len(mosaic)} angles, expected the four of a 2 × 2 cell by rows: 90,45,135,0")
     if len(images) != 1:
         raise InputError(f"--mosaic is for one image, but there are {len(images)} in {images[0].parent}")
-    a, b, c, d = (f"{angle:.10g}" for angle in mosaic)
-    lines = [f"images = [{_text(_relative(images[0], output))}]", f"mosaic = [[{a}, {b}], [{c}, {d}]]"]
+    rows = f"[{_numbers(mosaic[:2])}, {_numbers(mosaic[2:])}]"
+    lines = [f"images = [{_text(relative_path(images[0], output))}]", f"mosaic = {rows}"]
     return lines if colors is None else [*lines, f"mosaic_colors = {_text(colors)}"]

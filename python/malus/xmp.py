@@ -15,7 +15,7 @@ from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
 from malus import _core
-from malus._files import replacing
+from malus._files import replacing, write_bytes
 from malus.errors import InputError
 
 #: TIFF tag of an XMP packet.
@@ -85,8 +85,7 @@ def tag_png(path: Path, xmp: str) -> None:
     # Keyword, no compression, no language. The chunk goes behind the signature (8 bytes) and the header (25).
     chunk = b"iTXtXML:com.adobe.xmp" + b"\0" * 5 + xmp.encode()
     packed = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
-    with replacing(path) as temporary:
-        temporary.write_bytes(content[:33] + packed + content[33:])
+    write_bytes(path, content[:33] + packed + content[33:])
 
 
 def tag_tiff(path: Path, xmp: str) -> None:
@@ -115,5 +114,4 @@ def tag_tiff(path: Path, xmp: str) -> None:
     entries.sort(key=lambda entry: struct.unpack(order + "H", entry[:2])[0])
     added = content[:4] + struct.pack(order + "I", directory) + content[8:] + b"\0" * (place - len(content)) + packed
     added += b"\0" * (directory - len(added)) + struct.pack(order + "H", len(entries)) + b"".join(entries)
-    with replacing(path) as temporary:
-        temporary.write_bytes(added + struct.pack(order + "I", 0))
+    write_bytes(path, added + struct.pack(order + "I", 0))

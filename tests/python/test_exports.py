@@ -150,15 +150,15 @@ def test_large_meshes_are_written_in_parts(
     workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format: str
 ) -> None:
     """At 100 megapixels, copies of all triangles took 15 GB (OBJ) and more than 40 GB (STL) beside the mesh."""
-    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    write, exporter = exports.FORMATS[format][0], exports.Exporter(workspace)
     mesh = exporter.mesh()
     monkeypatch.setattr(exports.Exporter, "simplified", lambda *_: mesh)
     whole, parts = (tmp_path / name / f"a.{format}" for name in ("whole", "parts"))
-    write(exporter, whole, wishes)
+    write(exporter, whole)
     monkeypatch.setattr(arrays, "CHUNK", 1000)
     tracemalloc.start()
     try:
-        write(exporter, parts, wishes)
+        write(exporter, parts)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -173,14 +173,14 @@ def test_large_maps_are_computed_in_parts(
     """At 100 megapixels, the places of all pixels and what was seen there took tens of GB."""
     from PIL import Image
 
-    write, exporter, wishes = exports.FORMATS[format][0], exports.Exporter(workspace), exports.Wishes()
+    write, exporter = exports.FORMATS[format][0], exports.Exporter(workspace)
     dem = exporter.dem()
     monkeypatch.setattr(exports.Exporter, "dem", lambda _: dem)
-    write(exporter, tmp_path / "whole.png", wishes)
+    write(exporter, tmp_path / "whole.png")
     monkeypatch.setattr(arrays, "CHUNK", 1000)
     tracemalloc.start()
     try:
-        write(exporter, tmp_path / "parts.png", wishes)
+        write(exporter, tmp_path / "parts.png")
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

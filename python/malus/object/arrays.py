@@ -46,6 +46,7 @@ def on_disk(values: NDArray[Any], path: Path) -> NDArray[Any]:
     return np.memmap(path, values.dtype, "r", shape=values.shape)
 
 
-def chunks(count: int) -> list[slice]:
-    """Slices that divide `count` rows, CHUNK rows each."""
-    return [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+def chunks(count: int, width: int = 1) -> list[slice]:
+    """Slices that divide `count` rows of `width` values, about CHUNK values each."""
+    rows = max(1, CHUNK // width)
+    return [slice(start, min(start + rows, count)) for start in range(0, count, rows)]

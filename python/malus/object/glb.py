@@ -79,9 +79,13 @@ def glb(
     }
     if webp:
         document |= {"extensionsUsed": [_WEBP], "extensionsRequired": [_WEBP]}
+    return container(document, b"".join(padded))
+
+
+def container(document: Mapping[str, Any], body: bytes) -> bytes:
+    """A GLB file of its JSON part and its binary part, whose length is a multiple of four."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    body = b"".join(padded)
     head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(body))
     return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
 

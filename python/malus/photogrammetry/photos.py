@@ -74,7 +74,7 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float
 
 def describe_photo(path: Path, name: str) -> Photo:
     """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
-    width, height = raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))
+    width, height = raw.image_size(path)
     maker, focal_px, focal_mm = _exif(path, width, height)
     return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import datetime
 import itertools
 import json
@@ -27,8 +26,9 @@ from starlette.staticfiles import StaticFiles
 
 import malus
 from malus import lengths
-from malus._files import sha256_of
+from malus._files import relative_path, sha256_of
 from malus.errors import InputError, MalusError, ending_of
+from malus.raw import image_size
 from malus.studio import checks, folders, marks, masks, phases, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import ChangedError, StationDocument
@@ -66,7 +66,7 @@ class Studio:
             "model": lambda q: {"images": folders.images_of_model(self.root.directory(q["path"]))},
             "station": self._station,
             "check": lambda q: checks.check(self.root.file(q["path"]), self._threads),
-            "size": lambda q: dict(zip(("width", "height"), pictures.size_of(self.root.file(q["path"])), strict=True)),
+            "size": lambda q: dict(zip(("width", "height"), image_size(self.root.file(q["path"])), strict=True)),
             "runs": lambda _: [self._described(run) for run in self.runs.all()],
             "log": lambda q: {"lines": next((r.log for r in self.runs.all() if r.number == int(q["number"])), [])},
             "results": self._results,
@@ -194,9 +194,9 @@ class Studio:
         document.set("station", "name", body.get("name") or path.parent.name)
         document.set("station", "unit", body.get("unit", "mm"))
         images = [self.root.file(name) for name in body["images"]]
-        document.set("polarized", "images", [document.relative(image) for image in images])
+        document.set("polarized", "images", [relative_path(image, path) for image in images])
         if body.get("mask") is not None:
-            document.set("polarized", "mask", document.relative(self.root.file(body["mask"])))
+            document.set("polarized", "mask", relative_path(self.root.file(body["mask"]), path))
         for key in ("angles_deg", "angle_direction", "angle_zero_deg", "response", "exposure_s"):
             if body.get(key) is not None:
                 document.set("polarized", key, body[key])
@@ -215,7 +215,7 @@ class Studio:
                     continue
                 value = change["value"]
                 if change.get("is_path") and value is not None:
-                    value = document.relative(self.root.path(value))
+                    value = relative_path(self.root.path(value), document.path)
                 document.set(change["table"], change["key"], value)
             document.write(body["digest"])
             return self._shown(document)
@@ -301,7 +301,7 @@ class Studio:
 
         def cut() -> Response:
             image = self.root.file(request.query_params["image"])
-            hints = masks.decode(content, pictures.size_of(image))
+            hints = masks.decode(content, image_size(image))
             return Response(masks.cut_out(image, hints, self._threads), media_type="image/png")
 
         return await _answer(cut)
@@ -323,13 +323,13 @@ class Studio:
                 images, error, _ = self._images(document)
                 if not images:
                     raise InputError(error or f"{document.path}: has no images")
-                values = masks.decode(content, pictures.size_of(self.root.file(images[0])))
+                values = masks.decode(content, image_size(self.root.file(images[0])))
                 named = document.values.get(table, {}).get(key, "")
                 name = named if named and named not in words else f"{document.path.stem}_{kind}.png"
                 target = self.root.path(str(document.path.parent / name))
                 own = name == named and target.suffix == ".png"
                 written = masks.write(target.with_suffix(".png"), values, may_replace=own)
-                document.set(table, key, document.relative(written))
+                document.set(table, key, relative_path(written, document.path))
                 document.write(query["digest"])
                 return self._shown(document)
 
@@ -343,9 +343,8 @@ class Studio:
     def _overlay(self, query: Json) -> Json:
         station = malus.Station.load(self.root.file(query["path"]))
         picture, cell, (near, far) = masks.overlay_of_prior(station, self._threads)
-        address = "data:image/png;base64," + base64.b64encode(picture).decode()
         near_far = {"near": lengths.shown(near, station.unit, 3), "far": lengths.shown(far, station.unit, 3)}
-        return {"picture": address, "cell": cell, **near_far}
+        return {"picture": picture, "cell": cell, **near_far}
 
     # ---- runs, results ----
 

@@ -1,18 +1,17 @@
-"""Edits the station file for Studio; everything that is not changed keeps its text, including comments."""
+"""Edits the station file and its options for Studio; everything that is not changed keeps its text, including comments."""
 
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AoT, Table
 
-from malus._files import read_regular, write_bytes
+from malus._files import read_regular, reading, write_bytes
 from malus.errors import InputError
 
 #: Tables that may occur any number of times in a station file.
@@ -28,8 +27,8 @@ class ChangedError(InputError):
         super().__init__(f"{path}: was changed by another program or page since Studio read it")
 
 
-class StationDocument:
-    """A station file, read, changed and written back."""
+class TomlDocument:
+    """A TOML file to be changed."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
@@ -37,33 +36,24 @@ class StationDocument:
             self._document = tomlkit.parse(text)
         except TOMLKitError as error:
             raise InputError(f"{path}: not valid TOML ({error})") from None
-        self.digest = digest_of(text)
 
     @classmethod
-    def read(cls, path: Path) -> StationDocument:
+    def read(cls, path: Path) -> Self:
         """Read a file; InputError unless it is TOML in UTF-8."""
+        with reading(path):
+            content = read_regular(path)
         try:
-            return cls(path, read_regular(path).decode("utf-8-sig"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+            return cls(path, content.decode("utf-8-sig"))
         except UnicodeDecodeError:
-            raise InputError(f"{path}: is not UTF-8 text, expected a station file") from None
+            raise InputError(f"{path}: is not UTF-8 text, expected a TOML file") from None
 
     @property
     def text(self) -> str:
         """The text that would be written now."""
         return tomlkit.dumps(self._document)
 
-    @property
-    def values(self) -> dict[str, Any]:
-        """All values of the file, as plain data."""
-        values: dict[str, Any] = self._document.unwrap()
-        return values
-
     def set(self, table: str, key: str, value: Any) -> None:
         """Set a value, or remove it with None. The text of an equal value is not changed."""
-        if table not in TABLES:
-            raise InputError(f"[{table}] is no table of a station file, expected one of {', '.join(TABLES)}")
         if table not in self._document:
             if value is None:
                 return
@@ -74,6 +64,26 @@ class StationDocument:
         _assign(content, key, value)
         if not content:
             del self._document[table]
+
+
+class StationDocument(TomlDocument):
+    """A station file, read, changed and written back."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        super().__init__(path, text)
+        self.digest = digest_of(text)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All values of the file, as plain data."""
+        values: dict[str, Any] = self._document.unwrap()
+        return values
+
+    def set(self, table: str, key: str, value: Any) -> None:
+        """As `TomlDocument.set`, for the tables of a station file only."""
+        if table not in TABLES:
+            raise InputError(f"[{table}] is no table of a station file, expected one of {', '.join(TABLES)}")
+        super().set(table, key, value)
 
     def set_list(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
         """Replace the tables [[name]] by `entries`; tables that stay in place keep their comments."""
@@ -111,10 +121,6 @@ class StationDocument:
         self.require(expected)
         write_bytes(self.path, self.text.encode())
         self.digest = digest_of(self.text)
-
-    def relative(self, path: Path) -> str:
-        """The path of another file, relative to this file's folder."""
-        return Path(os.path.relpath(path.resolve(), self.path.resolve().parent)).as_posix()
 
 
 def digest_of(text: str) -> str:

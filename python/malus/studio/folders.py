@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from PIL.ExifTags import Base
+
 from malus import _core, exif, station_import
 from malus._files import as_text, is_utf8, natural, open_regular, read_regular, resolved
 from malus.errors import InputError
 from malus.photogrammetry.photos import photo_files
-from malus.raw import IMAGE_SUFFIXES, is_raw
+from malus.raw import is_image, is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
 
@@ -22,14 +24,10 @@ _SEARCHED = 20_000
 _SEARCH_DEPTH = 8
 #: What the page suggests if the angles cannot be found.
 _INSTEAD = "another source above, or the angles typed into the table"
-#: Numbers of two TIFF tags, and the sample format of floating-point pixels.
-_SAMPLES, _SAMPLE_FORMAT, _FLOATING = 277, 339, 3
+#: The TIFF tag SampleFormat of floating-point pixels.
+_FLOATING = 3
 #: Bytes that are searched for the end of a PLY file's header.
 _PLY_HEADER = 8192
-
-
-def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in IMAGE_SUFFIXES or is_raw(path)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -55,7 +53,7 @@ def is_result(folder: Path) -> bool:
 
 
 def listing(root: Root, name: str) -> dict[str, Any]:
-    """A folder for the page: its folders, images, station files and tables, in natural order."""
+    """A folder for the page: its folders, images and station files, in natural order."""
     folder = root.directory(name)
     entries = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=_natural)
     inside = [path for path in entries if root.holds(path)]
@@ -81,25 +79,24 @@ def listing(root: Root, name: str) -> dict[str, Any]:
         "images": [
             {"path": root.name(path), "name": path.name, "taken": exif.taken(path), "raw": is_raw(path)}
             for path in files
-            if _is_image(path)
+            if is_image(path)
         ],
         "mask": root.name(mask) if mask is not None and mask in files else None,
         "stations": [root.name(path) for path in files if _is_station(path)],
-        "tables": [root.name(path) for path in files if path.suffix.lower() == ".csv"],
         "hidden": [as_text(path.name) for path in entries if not is_utf8(path.name)],
     }
 
 
 def _count(folder: Path) -> int:
     try:
-        return sum(_is_image(path) for path in folder.iterdir())
+        return sum(is_image(path) for path in folder.iterdir())
     except OSError:
         return 0
 
 
 def angles(root: Root, folder: str, source: str, names: Sequence[str], first: float, step: float) -> list[dict[str, Any]]:  # fmt: skip
     """Image and angle [deg] of each of `names`, by `source`: "names" (or the folder's table or sidecars, as `malus import`
-    reads them), "table:PATH", or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
+    reads them), or "taken": from `first` in steps of `step`, in the order in which the camera took the images.
 
     Raises InputError if the source does not give the angles.
     """
@@ -112,10 +109,9 @@ def angles(root: Root, folder: str, source: str, names: Sequence[str], first: fl
         order = sorted(range(len(images)), key=lambda index: (str(moments[index]), _natural(images[index])))
         return [{"image": root.name(images[index]), "angle": first + step * place} for place, index in enumerate(order)]
     directory = root.directory(folder)
-    if source.startswith("table:"):
-        shots = station_import.shots_of(directory, None, root.file(source.removeprefix("table:")), None, None)
-    elif set(images) == set(station_import.images_of(directory, station_import.mask_of(directory))):
-        shots = station_import.shots_of(directory, station_import.mask_of(directory), None, None, None, _INSTEAD)
+    mask = station_import.mask_of(directory)
+    if set(images) == set(station_import.images_of(directory, mask)):
+        shots = station_import.shots_of(directory, mask, None, None, None, _INSTEAD)
     else:
         found = _core.angles_of_names(images, directory.name, f"expected {_INSTEAD}")
         shots = [station_import.Shot(path, angle) for path, angle in zip(images, found, strict=True)]
@@ -158,7 +154,7 @@ def candidates(root: Root) -> dict[str, Any]:
         inside = [here / f for f in sorted(files, key=natural) if root.holds(here / f)]
         priors += [{"kind": kind, "path": root.name(path)} for path in inside if (kind := _kind_of_prior(path))]
         stations += [root.name(path) for path in inside if _is_station(path)]
-        if any(_is_image(path) for path in inside):
+        if any(is_image(path) for path in inside):
             images.append(root.name(here))
     note = (
         f"The folder {root.folder.name} holds more than {_SEARCHED} files: not all stations, models and surfaces below it are listed. "
@@ -178,7 +174,8 @@ def _kind_of_prior(path: Path) -> str | None:
     kind = path.suffix.lower()
     if kind in (".tif", ".tiff"):
         tags = exif.tags_of(path)
-        return "depth" if _first(tags.get(_SAMPLE_FORMAT)) == _FLOATING and tags.get(_SAMPLES, 1) == 1 else None
+        is_floating = exif.number_of(tags.get(Base.SampleFormat)) == _FLOATING
+        return "depth" if is_floating and tags.get(Base.SamplesPerPixel, 1) == 1 else None
     if kind == ".ply":
         try:
             with open_regular(path) as file:
@@ -187,10 +184,6 @@ def _kind_of_prior(path: Path) -> str | None:
             return None
         return "mesh" if re.search(rb"element face [1-9]", header) else "cloud"
     return "cloud" if kind == ".xyz" or is_scan(path) else None
-
-
-def _first(value: object) -> object:
-    return value[0] if isinstance(value, tuple) and value else value
 
 
 def images_of_model(path: Path) -> list[str]:
@@ -204,7 +197,7 @@ def polarized_images(root: Root, station: Path, values: Mapping[str, Any]) -> li
     said = polarized.get("images") if isinstance(polarized, Mapping) else None
     if isinstance(said, str):
         place = station.parent / said
-        paths = sorted((path for path in place.iterdir() if _is_image(path)), key=_natural) if place.is_dir() else []
+        paths = sorted((path for path in place.iterdir() if is_image(path)), key=_natural) if place.is_dir() else []
     else:
         paths = [
             station.parent / name

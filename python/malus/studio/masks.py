@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -16,11 +15,11 @@ from malus import _core
 from malus._extra import extra
 from malus._files import read_regular, write_bytes
 from malus.errors import DataError, InputError
-from malus.figures import encode, step_for
+from malus.figures import data_url, encode, step_for
 from malus.options import Options
 from malus.overlay import nearest_points
 from malus.reconstruction import prior_upon_image
-from malus.studio.pictures import displayed, distorting
+from malus.studio.pictures import colored, displayed, distorting
 
 #: Long side of the reduced image on which GrabCut runs: it then takes seconds, also for large images.
 _CUT_SIDE_PX = 640
@@ -130,16 +129,13 @@ def outline_of_prior(station: malus.Station, options: Options, threads: int) -> 
     return encode(np.where(np.isfinite(_prior_in_view(station, options, threads)), 255, 0).astype(np.uint8), "PNG")
 
 
-def overlay_of_prior(station: malus.Station, threads: int) -> tuple[bytes, float, tuple[float, float]]:
-    """PNG of the prior's points in the image as taken, colored by distance and transparent where there is no point; the side of
-    a pixel of the PNG in pixels of the image; and the nearest and farthest distance of the color scale.
+def overlay_of_prior(station: malus.Station, threads: int) -> tuple[str, float, tuple[float, float]]:
+    """Data URL of the prior's points in the image as taken, colored by distance and transparent where there is no point; the side of
+    a pixel of this picture in pixels of the image; and the nearest and farthest distance of the color scale.
     """
     image, _, points = prior_upon_image(station, threads=threads)
     if not len(points):
         raise DataError("the coarse surface covers no pixel of the polarized image, or there is none yet")
     distance, cell = nearest_points(points, image.shape)
     near, far = (float(p) for p in np.nanpercentile(distance, [1, 99]))
-    colors = mpl.colormaps["viridis"](np.clip((far - np.nan_to_num(distance)) / max(far - near, 1e-9), 0, 1))
-    picture = np.rint(255 * colors).astype(np.uint8)
-    picture[..., 3] = np.where(np.isfinite(distance), 255, 0)
-    return encode(picture, "PNG", compress_level=3), cell, (near, far)
+    return data_url(colored(distance, "viridis_r", near, far), "PNG", compress_level=3), cell, (near, far)

@@ -8,12 +8,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
 from malus import _core, raw
+from malus._files import reading
 from malus.camera import Camera
 from malus.capture import undistort
 from malus.errors import InputError
@@ -71,6 +73,14 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
     return np.rint(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
 
 
+def colored(values: NDArray[Any], colors: str, low: float, high: float) -> NDArray[np.uint8]:
+    """A picture H×W×4 in the colors of a matplotlib color map, transparent where there is no value."""
+    scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
+    picture = np.rint(255 * mpl.colormaps[colors](scaled)).astype(np.uint8)
+    picture[..., 3] = np.where(np.isfinite(values), 255, 0)
+    return picture
+
+
 def _undistorted(pixels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
     """Pixels H×W×C as a camera without the lens's distortion sees them, which is that of all results; black where there are none."""
     camera = Camera(*lens)
@@ -88,10 +98,8 @@ def cached(make: Callable[..., Made], size: int) -> Callable[..., Made]:
         return make(path, *more)
 
     def current(path: Path, *more: Hashable) -> Made:
-        try:
+        with reading(path):
             changed = path.stat().st_mtime_ns
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         with lock:
             return made(path, changed, *more)
 
@@ -143,8 +151,3 @@ def tile(path: Path, halvings: int, column: int, row: int, lens: Lens | None = N
         raise InputError(f"{path}: has no tile {column}, {row}")
     part = level.crop((left, top, min(left + TILE_PX, level.width), min(top + TILE_PX, level.height)))
     return encode(np.asarray(part), "JPEG", quality=88)
-
-
-def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of an image in pixels."""
-    return raw.image_size(path) if raw.is_raw(path) else _core.image_size(str(path))

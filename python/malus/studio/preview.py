@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
 from malus import evidence, polarization
 from malus.capture import linearize
 from malus.errors import InputError
-from malus.figures import encode, reduced, step_for
-from malus.studio.pictures import linear_or_encoded
+from malus.figures import data_url, reduced, step_for
+from malus.studio.pictures import colored, linear_or_encoded
 
 #: Long side of the previews.
 SIDE_PX = 640
@@ -61,10 +59,9 @@ def angles_from_x(angles_deg: Sequence[float], direction: str, zero_deg: float) 
 
 def as_picture(values: NDArray[Any], colors: str, low: float, high: float) -> str:
     """Data URL of a picture in the colors of a matplotlib color map; gray where there is no value."""
-    scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
-    picture = np.rint(255 * mpl.colormaps[colors](scaled)[..., :3]).astype(np.uint8)
+    picture = colored(values, colors, low, high)[..., :3]
     picture[~np.isfinite(values)] = 128
-    return "data:image/webp;base64," + base64.b64encode(encode(picture, "WEBP", quality=88)).decode()
+    return data_url(picture, "WEBP", quality=88)
 
 
 def preview(
@@ -98,7 +95,6 @@ def preview(
         "phase": as_picture(np.degrees(np.asarray(state.phase_rad)), "twilight", 0, 180),
         "degree_top": top,
         "degree_median": float(np.nanmedian(degree)),
-        "residual_median": float(np.nanmedian(np.asarray(state.residual))),
         "findings": [
             {"severity": f.severity, "message": f.message, "suggestion": f.suggestion} for f in findings
         ],

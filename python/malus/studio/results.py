@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 
 from malus import assess
 from malus._files import shortened
 from malus.errors import DataError, InputError, MalusError
-from malus.figures import encode, gray, hillshade, reduced, step_for
+from malus.figures import data_url, encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
 from malus.studio.folders import below, is_result
+from malus.studio.pictures import colored
 from malus.workspace import Workspace
 
 #: Long side of the pictures of results.
@@ -67,7 +65,7 @@ def summary(root: Root, folder: Path) -> dict[str, Any]:
 
 def _figures(root: Root, workspace: Workspace) -> dict[str, Any]:
     quality = workspace.quality
-    keys = ("name", "unit", "gsd", "width", "height", "method", "status", "confidence", "warnings")
+    keys = ("name", "unit", "gsd", "width", "height", "confidence", "warnings")
     return {
         **{key: quality[key] for key in keys},
         "station": station_of(root, workspace.folder),
@@ -83,13 +81,6 @@ def relief(folder: Path) -> bytes:
     depth = workspace.raster("fused/depth.tif")
     step = step_for(depth.shape, _SIDE_PX)
     return encode(gray(hillshade(-reduced(depth, step), float(workspace.quality["gsd"]) * step)), "PNG")
-
-
-def _picture(values: NDArray[np.float32], limit: float) -> str:
-    colors = mpl.colormaps["RdBu"](np.clip(np.nan_to_num(values) / limit / 2 + 0.5, 0, 1))
-    picture = np.rint(255 * colors).astype(np.uint8)
-    picture[..., 3] = np.where(np.isfinite(values), 255, 0)
-    return "data:image/png;base64," + base64.b64encode(encode(picture, "PNG")).decode()
 
 
 def _is_same_place(a: Workspace, b: Workspace) -> bool:
@@ -122,8 +113,9 @@ def difference(first: Path, second: Path) -> dict[str, Any]:
     if not known.size:
         raise DataError(f"{first.name} and {second.name} have no pixel in common")
     limit = max(float(np.percentile(np.abs(known), 98)), 1e-9)
+    small = reduced(nearer, step_for(nearer.shape, _SIDE_PX))
     return {
-        "picture": _picture(reduced(nearer, step_for(nearer.shape, _SIDE_PX)), limit),
+        "picture": data_url(colored(small, "RdBu", -limit, limit), "PNG"),
         "limit": limit,
         "mean": float(known.mean()),
         "rms": float(np.sqrt(np.mean(np.square(known, dtype=float)))),

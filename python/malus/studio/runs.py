@@ -25,16 +25,17 @@ _ENDED = ("done", "failed", "canceled")
 @dataclass
 class Run:
     """One run, waiting, running or ended. title: inputs and result; asked: the page's request, to repeat it; command: makes the arguments
-    of `malus` when the run starts; page: folder of the run's report page; station: the station file, None for a comparison.
+    of `malus` when the run starts; page: folder of the run's report page; station: the station file, None for a comparison; number:
+    given when the run is queued.
     """
 
-    number: int
     work: Path
     title: str
     asked: Mapping[str, Any]
     command: Callable[[], list[str]]
     page: Path
     station: Path | None = None
+    number: int = 0
     state: str = "waiting"
     fraction: float = 0.0
     seconds_left: float | None = None
@@ -88,42 +89,34 @@ class Runs:
             options = settings.file_of(station)
             return [*words, "--options", str(options)] if options.is_file() else words
 
-        return self._add(work, title, asked, command, work / "report", station)
+        return self._add(Run(work, title, asked, command, work / "report", station))
 
     def add_comparison(
         self, before: Path, after: Path, folder: Path, same_frame: bool, title: str, asked: Mapping[str, Any]
     ) -> Run:
         """Queue the comparison of the results of two dates."""
         words = ["compare", str(before), str(after), "-o", str(folder), *(["--same-frame"] if same_frame else [])]
-        return self._add(folder, title, asked, lambda: words, folder)
+        return self._add(Run(folder, title, asked, lambda: words, folder))
 
-    def _add(
-        self,
-        work: Path,
-        title: str,
-        asked: Mapping[str, Any],
-        command: Callable[[], list[str]],
-        page: Path,
-        station: Path | None = None,
-    ) -> Run:
+    def _add(self, new: Run) -> Run:
         """Queue a run. If the same run waits or runs already, it is returned instead; an ended run with this folder is removed.
 
         Raises InputError while another run uses the same folder for its results.
         """
         with self._changed:
             for run in self._runs:
-                if run.work == work and run.state not in _ENDED:
-                    if run.asked == asked:
+                if run.work == new.work and run.state not in _ENDED:
+                    if run.asked == new.asked:
                         return run
                     raise InputError(
-                        f"{work.name}: {run.title} has not ended, expected another folder, or that one canceled first"
+                        f"{new.work.name}: {run.title} has not ended, expected another folder, or that one canceled first"
                     )
-            self._runs = [run for run in self._runs if run.work != work]
+            self._runs = [run for run in self._runs if run.work != new.work]
             self._number += 1
-            run = Run(self._number, work, title, asked, command, page, station)
-            self._runs.append(run)
+            new.number = self._number
+            self._runs.append(new)
             self._changed.notify_all()
-            return run
+            return new
 
     def cancel(self, number: int) -> None:
         """End a run as Ctrl-C does: the results of finished steps are kept."""

@@ -5,14 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Table
-
 from malus._files import write_bytes
 from malus._toml import read_toml
-from malus.errors import InputError
 from malus.options import MAIN, Options
+from malus.studio.document import TomlDocument
 
 
 def file_of(station: Path) -> Path:
@@ -52,21 +48,9 @@ def change(station: Path, name: str, value: Any) -> None:
     if value is not None:
         Options().update({section: {key: value}})
     path = file_of(station)
-    try:
-        document = tomlkit.parse(path.read_text(encoding="utf-8-sig") if path.is_file() else "")
-    except (TOMLKitError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from None
-    table = document.setdefault(section, tomlkit.table())
-    if not isinstance(table, Table):
-        raise InputError(f"{path}: {section} is no table, expected [{section}]")
-    if value is None:
-        table.pop(key, None)
-    else:
-        table[key] = value
-    if not table:
-        del document[section]
-    text = tomlkit.dumps(document)
-    if text.strip():
-        write_bytes(path, text.encode())
+    document = TomlDocument.read(path) if path.is_file() else TomlDocument(path, "")
+    document.set(section, key, value)
+    if document.text.strip():
+        write_bytes(path, document.text.encode())
     else:
         path.unlink(missing_ok=True)
