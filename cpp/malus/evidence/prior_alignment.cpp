@@ -375,13 +375,7 @@ void judge_coverage(const MaskCoverage& covered, const std::string& what, PriorA
 
 /// Share of the object's pixels that have a depth.
 double share_with_depth(const Image<float>& depth, const Mask& object) {
-  double pixels = 0, known = 0;
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    if (object[i] == 0) continue;
-    ++pixels;
-    known += std::isfinite(depth[i]) && depth[i] > 0;
-  }
-  return known / std::max(pixels, 1.0);
+  return mean_over(object, [&](int u, int v) { return std::isfinite(depth(u, v)) && depth(u, v) > 0; });
 }
 
 }  // namespace

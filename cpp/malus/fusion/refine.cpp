@@ -327,13 +327,7 @@ class Refiner {
     // The errors of meshes and depth maps are only assumed.
     if (prior.smoothing_px > 0) stay_near_prior(x_prior);
     // Pixels without usable polarization follow their neighbors, and are not counted as evidence.
-    double trust = 0, count = 0;
-    for (std::size_t i = 0; i < report_.trust.count(); ++i) {
-      if (!image_.usable[i]) continue;
-      trust += report_.trust[i] / 255.0;
-      ++count;
-    }
-    report_.trusted_share = trust / std::max(count, 1.0);
+    report_.trusted_share = mean_over(image_.usable, [&](int u, int v) { return report_.trust(u, v) / 255.0; });
     report_.explained_beyond_plane = mean_over_object(beyond_plane);
   }
 
@@ -490,12 +484,9 @@ class Refiner {
 
   /// Share of the object within two of the prior's standard deviations of the prior.
   double within_prior_errors(const Image<double>& x_prior) const {
-    double within = 0, count = 0;
-    for_each_pixel(image_.object, [&](int u, int v) {
-      within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
-      ++count;
+    return mean_over(image_.object, [&](int u, int v) {
+      return std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
     });
-    return within / std::max(count, 1.0);
   }
 
   WeightOptions weights(double widening, bool regional) const {
@@ -566,12 +557,8 @@ class Refiner {
   }
 
   double mean_over_object(const Image<float>& cells) const {
-    double sum = 0, count = 0;
-    for_each_pixel(image_.object, [&](int u, int v) {
-      sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
-      ++count;
-    });
-    return sum / count;
+    return mean_over(image_.object,
+                     [&](int u, int v) { return between_cells(cells, ExplainedPolarization::cell_px, u, v); });
   }
 
   /// Field of a strip with its weights. Adds the residuals to the summary unless it is null.

@@ -1,5 +1,6 @@
 #include <algorithm>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/connected_sets_internal.h"
@@ -72,13 +73,7 @@ void label_reflection(RefinementImage& image, const std::vector<RowRange>& strip
 }
 
 double specular_share(const RefinementImage& image) {
-  double specular = 0, all = 0;
-  for (std::size_t i = 0; i < image.pixels.count(); ++i) {
-    if (!image.pixels[i]) continue;
-    ++all;
-    specular += image.kind[i] == Reflection::specular;
-  }
-  return specular / all;
+  return mean_over(image.pixels, [&](int u, int v) { return image.kind(u, v) == Reflection::specular; });
 }
 
 }  // namespace malus
