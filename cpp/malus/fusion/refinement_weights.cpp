@@ -141,9 +141,7 @@ void ResidualSummary::add(const PixelResiduals& part, RowRange rows, int first_r
       if (!std::isfinite(squared)) continue;
       cost_ += std::log1p(0.5 * squared);
       ++count_;
-      const auto pixel = static_cast<std::size_t>(first_row + v) * static_cast<std::size_t>(image_.width) +
-                         static_cast<std::size_t>(u);
-      if (!is_chosen(pixel, share_)) continue;
+      if (!is_chosen(image_.index(u, first_row + v), share_)) continue;
       squared_.push_back(squared);
       if (u + 1 == image_.width) continue;
       const float step = std::abs(part.log_albedo(u + 1, v) - part.log_albedo(u, v));
