@@ -56,9 +56,10 @@ inline double side_of_set(const Mask& pixels) {
   return std::sqrt(static_cast<double>(count_of_set(pixels)));
 }
 
-/// Distance between sampled rows and columns: `of_image`, or less if that would leave fewer than `fewest` samples on a
-/// small object. An empty mask is the whole image.
-inline int stride_on(const Mask& object, int of_image, double fewest) {
+/// Distance between sampled rows and columns that takes at most `most` samples of an image, or less if that would leave
+/// fewer than `fewest` on a small object. An empty mask is the whole image.
+inline int stride_on(const Mask& object, Size image, double most, double fewest) {
+  const int of_image = static_cast<int>(std::sqrt(static_cast<double>(image.area()) / most)) + 1;
   if (object.empty()) return of_image;
   const double set = static_cast<double>(count_of_set(object));
   return std::clamp(static_cast<int>(std::sqrt(set / fewest)), 1, of_image);
