@@ -6,13 +6,13 @@
 
 #include "malus/assess/assessed_confidence_internal.h"
 #include "malus/assess/high_pass_internal.h"
-#include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/assess/quality_internal.h"
 #include "malus/core/degrees_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
