@@ -60,10 +60,6 @@ void label_regions(RefinementImage& image, const RefineInput& input, const std::
   });
 }
 
-MirroredTerms mirrored_terms(const RefineOptions& options) {
-  return {options.environment, options.lobe};
-}
-
 /// Fits the parameters that all pixels share at the current surface; those of specular regions only if they are not
 /// known yet. Returns the relative decrease of the robust cost by the lobe.
 double fit_reflection(RefinementImage& image, const RefineOptions& options, bool is_mirror_known, RefineReport& report,
@@ -78,7 +74,7 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
     image.shading = shading.harmonics;
     HighlightLobe start = image.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, image.reflection.eta, mirrored_terms(options), start, context);
+    const DiffuseFit fit = fit_diffuse(diffuse, image.reflection.eta, options, start, context);
     image.reflection.environment = fit.environment;
     image.reflection.lobe = fit.lobe;
     if (options.environment) report.environment_sigma = fit.environment_sigma;
@@ -185,8 +181,7 @@ class Refiner {
   void find_index(std::optional<double> stated) {
     stated_index_ = stated;
     if (stated && !options_.correct_index) return;
-    const RefractiveIndexFit fit =
-        fit_refractive_index(image_, image_.reflection.eta, mirrored_terms(options_), context_);
+    const RefractiveIndexFit fit = fit_refractive_index(image_, image_.reflection.eta, options_, context_);
     const bool takes = stated ? fit.contradicts : fit.determined;
     if (takes) image_.reflection.eta = fit.eta;
     report_index(takes, fit.sigma);

@@ -397,7 +397,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   return harmonics;
 }
 
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const RefineOptions& options,
                        const HighlightLobe& start, const Context& context) {
   DiffuseFit fit;
   fit.lobe = start;
@@ -407,7 +407,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   linear.reserve(samples.size());
   for (const ReflectionSample& s : samples) {
     linear.push_back(linearize(s, eta));
-    if (!terms.environment) linear.back().environment.setZero();
+    if (!options.environment) linear.back().environment.setZero();
   }
   const SampleSet set{samples, linear, eta};
 
@@ -415,7 +415,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   fit.environment.radiance = nodes_of(plain.values);
   fit.environment_sigma = nodes_of(plain.sigma);
   fit.cost = fit.cost_without_lobe = plain.cost;
-  if (!terms.lobe) return fit;
+  if (!options.lobe) return fit;
 
   const std::vector<double> roughnesses =
       start.strength > 0 ? std::vector{start.roughness} : std::vector{0.1, 0.15, 0.2, 0.25, 0.3, 0.4};
@@ -528,7 +528,8 @@ struct SamplesByKind {
   }
 };
 
-IndexSearch search_index(const SamplesByKind& samples, double supposed, MirroredTerms terms, const Context& context) {
+IndexSearch search_index(const SamplesByKind& samples, double supposed, const RefineOptions& options,
+                         const Context& context) {
   HighlightLobe start;
   if (!samples.diffuse.empty()) start.light = fit_shading(samples.diffuse).light;
   Context alone = context;  // the tries already run in parallel
@@ -536,7 +537,8 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
   const auto cost = [&](double eta) {
     double sum = 0;
     if (!samples.diffuse.empty()) {
-      sum += static_cast<double>(samples.diffuse.size()) * fit_diffuse(samples.diffuse, eta, terms, start, alone).cost;
+      sum +=
+          static_cast<double>(samples.diffuse.size()) * fit_diffuse(samples.diffuse, eta, options, start, alone).cost;
     }
     if (!samples.specular.empty())
       sum += static_cast<double>(samples.specular.size()) * fit_specular(samples.specular, eta).cost;
@@ -547,7 +549,7 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
 
 }  // namespace
 
-RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
+RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, const RefineOptions& options,
                                         const Context& context) {
   constexpr std::size_t largest_count = 8000, parts = 8;
   // On twelve random objects the error of the index was 0.06 RMS, twice the estimate from the scatter of its parts.
@@ -556,12 +558,12 @@ RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double sup
                         collect_samples(image, Reflection::specular, largest_count)};
   for (ReflectionSample& s : samples.diffuse) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
   for (ReflectionSample& s : samples.specular) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::specular));
-  const IndexSearch search = search_index(samples, supposed, terms, context);
+  const IndexSearch search = search_index(samples, supposed, options, context);
   RefractiveIndexFit fit{search.index};
   if (!search.within) return fit;
   double sum = 0, squares = 0;
   for (std::size_t part = 0; part < parts; ++part) {
-    const double eta = search_index(samples.run(part, parts), supposed, terms, context).index;
+    const double eta = search_index(samples.run(part, parts), supposed, options, context).index;
     sum += eta;
     squares += eta * eta;
   }
