@@ -516,9 +516,8 @@ class Refiner {
   /// differs from the supposed one.
   void correct_index() {
     constexpr std::size_t samples = 4000;
-    const double index =
-        index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
-                      {report_.surroundings.roughness, report_.surroundings.other_roughness}, context_);
+    const double index = index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
+                                       report_.surroundings.finishes, context_);
     if (index == image_.reflection.eta) return;
     image_.reflection.eta = index;
     map_.material.index = index;
