@@ -16,8 +16,7 @@ struct Evidence {
 
 Evidence collect_evidence(const RefinementField& field, const Context& context) {
   Evidence evidence{Image<float>(field.size(), 1, no_value), Image<float>(field.size(), 1, no_value)};
-  parallel_pixels(context, field.size(), [&](int u, int v) {
-    if (!field.object(u, v) || !field.usable(u, v)) return;
+  parallel_pixels(context, field.usable, [&](int u, int v) {
     const Slopes slopes = central_slopes(field, u, v);
     const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
     const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
