@@ -4,9 +4,9 @@
 #include <string>
 
 #include "malus/assess/assessed_confidence_internal.h"
-#include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/statistics_internal.h"
 #include "malus/core/digits_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/core/ranked_values_internal.h"
 
 namespace malus {

@@ -1,6 +1,8 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "malus/assess/comparison_internal.h"
@@ -37,13 +39,9 @@ std::vector<Eigen::Vector3d> spread_points(const FusedSurface& surface) {
 constexpr int beside_gsd = 5;
 const std::string own_frame = "; if the reference has a frame of its own, `malus assess --register` finds its place";
 
-bool is_mostly_beyond(const Image<float>& distance, double limit) {
-  std::size_t known = 0, beyond = 0;
-  for (const float value : distance) {
-    known += std::isfinite(value) ? 1U : 0U;
-    beyond += std::abs(value) > limit ? 1U : 0U;
-  }
-  return 2 * beyond > known;
+bool is_mostly_beyond(std::span<const double> distances, double limit) {
+  const auto beyond = std::ranges::count_if(distances, [&](double distance) { return std::abs(distance) > limit; });
+  return 2 * beyond > std::ssize(distances);
 }
 
 /// Warns of a reference's cloud whose points do not determine planes. Where it is as thick as the reach of its planes,
@@ -87,8 +85,7 @@ SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTra
   result.scale = next.scale * first.scale;
   Eigen::Map<RowMajor>(result.rotation.data()) =
       Eigen::Map<const RowMajor>(next.rotation.data()) * Eigen::Map<const RowMajor>(first.rotation.data());
-  Eigen::Map<Eigen::Vector3d>(result.translation.data()) =
-      next.apply(Eigen::Map<const Eigen::Vector3d>(first.translation.data()));
+  result.translation = next.apply(first.translation);
   return result;
 }
 
@@ -99,8 +96,7 @@ SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& cen
   const Eigen::Vector3d turn = step.head<3>();
   const Eigen::Matrix3d rotation = Eigen::AngleAxisd(turn.norm(), turn.stableNormalized()).toRotationMatrix();
   Eigen::Map<RowMajor>(motion.rotation.data()) = rotation;
-  Eigen::Map<Eigen::Vector3d>(motion.translation.data()) =
-      centre + extent * step.segment<3>(3) - motion.scale * rotation * centre;
+  motion.translation = centre + extent * step.segment<3>(3) - motion.scale * rotation * centre;
   return motion;
 }
 
@@ -210,7 +206,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
     context.log(LogLevel::warning,
                 "no pixel is near the reference (assess.max_distance_gsd), expected in the station's unit and frame" +
                     own_frame);
-  } else if (options.alignment == Alignment::none && is_mostly_beyond(result.distance, beside_gsd * gsd)) {
+  } else if (options.alignment == Alignment::none && is_mostly_beyond(distances_gsd, beside_gsd)) {
     context.log(LogLevel::warning, "half of the surface lies farther than " + std::to_string(beside_gsd) +
                                        " GSD from the reference" + own_frame);
   }

@@ -18,12 +18,11 @@ namespace malus {
 struct SimilarityTransform {
   double scale = 1;
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  ///< row major
-  std::array<double, 3> translation{};
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
 
   Eigen::Vector3d apply(const Eigen::Vector3d& x) const {
     using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-    return scale * (Eigen::Map<const RowMajor>(rotation.data()) * x) +
-           Eigen::Map<const Eigen::Vector3d>(translation.data());
+    return scale * (Eigen::Map<const RowMajor>(rotation.data()) * x) + translation;
   }
 
   MALUS_FIELDS(scale, rotation, translation)

@@ -1,8 +1,11 @@
 #include <cmath>
 #include <cstddef>
 #include <opencv2/imgproc.hpp>
+#include <utility>
+#include <vector>
 
 #include "malus/assess/high_pass_internal.h"
+#include "malus/assess/statistics_internal.h"
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
@@ -38,6 +41,14 @@ Image<float> high_pass(Image<float> values, double sigma_px, const Context& cont
     }
   });
   return values;
+}
+
+double rms_of_detail(Image<float> values, double sigma_px, const Context& context) {
+  std::vector<double> detail;
+  for (const float value : high_pass(std::move(values), sigma_px, context)) {
+    if (std::isfinite(value)) detail.push_back(value);
+  }
+  return root_mean_square(detail);
 }
 
 }  // namespace malus

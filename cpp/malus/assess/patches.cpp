@@ -1,9 +1,9 @@
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "malus/assess/high_pass_internal.h"
 #include "malus/assess/patches_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/surface/plane_internal.h"
 
 namespace malus {
@@ -17,46 +17,35 @@ void require_inside(const PatchSpec& patch, Size size) {
                     "], expected x0 <= x1 and y0 <= y1 inside the image of " + to_string(size) + " pixels");
 }
 
-double roughness(Image<float> distances, double sigma_px, const Context& context) {
-  std::vector<double> detail;
-  for (const float value : high_pass(std::move(distances), sigma_px, context)) {
-    if (std::isfinite(value)) detail.push_back(value);
-  }
-  return root_mean_square(detail);
-}
-
 }  // namespace
 
 std::optional<PatchFit> fit_patch(const Image<float>& depth, const Pinhole& camera, const PatchSpec& patch, double gsd,
                                   const AssessOptions& options, const Context& context) {
   require_inside(patch, depth.size());
   std::vector<Eigen::Vector3d> points;
-  for (int v = patch.y0; v <= patch.y1; ++v) {
-    for (int u = patch.x0; u <= patch.x1; ++u) {
-      const float z = depth(u, v);
-      if (std::isfinite(z)) points.push_back(camera.ray(u, v) * static_cast<double>(z));
-    }
-  }
+  const PixelRect box{patch.x0, patch.y0, patch.x1 + 1, patch.y1 + 1};
+  for_each_pixel(box, [&](int u, int v) {
+    const float z = depth(u, v);
+    if (std::isfinite(z)) points.push_back(camera.ray(u, v) * static_cast<double>(z));
+  });
   if (points.size() <= 10) return std::nullopt;
 
   const PlaneFit plane = fit_plane(points, Eigen::Vector3d::Zero(), PlaneWeights::equal, context);
   std::vector<double> distances_gsd;
   for (const Eigen::Vector3d& x : points) distances_gsd.push_back(plane.plane.signed_distance(x) / gsd);
   // Of depths, the tilt of the patch would count as roughness along its edges, where the mean is one-sided.
-  Image<float> window({patch.x1 - patch.x0 + 1, patch.y1 - patch.y0 + 1}, 1, std::numeric_limits<float>::quiet_NaN());
+  Image<float> window(box.size(), 1, no_value);
   std::size_t point = 0;
-  for (int v = patch.y0; v <= patch.y1; ++v) {
-    for (int u = patch.x0; u <= patch.x1; ++u) {
-      if (std::isfinite(depth(u, v))) window(u - patch.x0, v - patch.y0) = static_cast<float>(distances_gsd[point++]);
-    }
-  }
+  for_each_pixel(box, [&](int u, int v) {
+    if (std::isfinite(depth(u, v))) window(u - box.u0, v - box.v0) = static_cast<float>(distances_gsd[point++]);
+  });
   PatchFit fit;
   fit.count = points.size();
   fit.rmse = plane.rmse;
   fit.rmse_gsd = plane.rmse / gsd;
   fit.mad_gsd = plane.mad / gsd;
   fit.max_abs_gsd = plane.max_abs / gsd;
-  fit.roughness_gsd = roughness(std::move(window), options.detail_sigma_px, context);
+  fit.roughness_gsd = rms_of_detail(std::move(window), options.detail_sigma_px, context);
   fit.histogram_gsd = distance_histogram(distances_gsd, options.histogram_range_gsd, options.histogram_bins);
   return fit;
 }

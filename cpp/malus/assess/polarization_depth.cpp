@@ -1,8 +1,8 @@
 #include <cmath>
 
-#include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 
 namespace malus {
 

@@ -1,6 +1,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 #include <sstream>
+#include <utility>
 
 #include "malus/assess/high_pass_internal.h"
 #include "malus/assess/profiles_internal.h"
@@ -78,11 +79,7 @@ ProfileDifference difference(const std::vector<double>& a, const std::vector<dou
 double roughness(const std::vector<double>& heights, double sigma_samples, const Context& context) {
   Image<float> line({static_cast<int>(heights.size()), heights.empty() ? 0 : 1});
   for (std::size_t i = 0; i < heights.size(); ++i) line[i] = static_cast<float>(heights[i]);
-  std::vector<double> detail;
-  for (const float value : high_pass(line, sigma_samples, context)) {
-    if (std::isfinite(value)) detail.push_back(value);
-  }
-  return root_mean_square(detail);
+  return rms_of_detail(std::move(line), sigma_samples, context);
 }
 
 }  // namespace

@@ -6,11 +6,13 @@
 
 #include "malus/assess/assessed_confidence_internal.h"
 #include "malus/assess/high_pass_internal.h"
-#include "malus/assess/pixel_sums_internal.h"
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/assess/quality_internal.h"
 #include "malus/core/degrees_internal.h"
+#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/core/robust_spread_internal.h"
 
@@ -83,15 +85,12 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
                                  const AssessOptions& options, const Context& context) {
   const Image<float>&fused = surface.depth, &before = prior.depth;
   const auto difference = [&](std::size_t i) { return fused[i] - before[i]; };
-  struct Index {
-    enum : std::size_t { count, sum, squares, size };
-  };
-  const auto sums = sum_pixels<Index::size>(fused.count(), context, [&](std::size_t i, Sums<Index::size>& part) {
+  const auto [count, sum, squares] = sum_pixels<3>(fused.count(), context, [&](std::size_t i, Sums<3>& sums) {
     const double value = difference(i) / gsd;
     if (!std::isfinite(value)) return;
-    part[Index::count] += 1;
-    part[Index::sum] += value;
-    part[Index::squares] += value * value;
+    sums[0] += 1;
+    sums[1] += value;
+    sums[2] += value * value;
   });
   Image<float> change = Image<float>::uninitialized(fused.size());
   for (std::size_t i = 0; i < change.count(); ++i) change[i] = difference(i);
@@ -100,9 +99,9 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   const Spread of_change = detail_of(high_pass(std::move(change), sigma_px, context), gsd, context);
   const Spread of_prior = detail_of(high_pass(before, sigma_px, context), gsd, context);
   const Spread of_fused = detail_of(high_pass(fused, sigma_px, context), gsd, context);
-  const double mean = sums[Index::sum] / sums[Index::count], square = sums[Index::squares] / sums[Index::count];
+  const double mean = sum / count;
   DetailFigures figures;
-  figures.difference_rms_gsd = std::sqrt(std::max(square - mean * mean, 0.0));
+  figures.difference_rms_gsd = std::sqrt(std::max(squares / count - mean * mean, 0.0));
   figures.difference_bias_gsd = percentiles({fused.count(), difference, context}, gsd, {0.5})[0];
   figures.difference_detail_rms_gsd = of_change.rms;
   figures.difference_detail_mad_gsd = of_change.mad;
@@ -168,12 +167,11 @@ HeightFigures describe_height(const HeightMap& height) {
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context) {
   std::vector<double> depths;
   const int centre_u = depth.width() / 2, centre_v = depth.height() / 2;
-  for (int v = centre_v - 2; v <= centre_v + 2; ++v) {
-    for (int u = centre_u - 2; u <= centre_u + 2; ++u) {
-      if (depth.contains(u, v) && std::isfinite(depth(u, v))) depths.push_back(depth(u, v));
-    }
-  }
-  if (!depths.empty()) return percentile(std::move(depths), 0.5) / camera.focal();
+  const PixelRect centre{centre_u, centre_v, centre_u + 1, centre_v + 1};
+  for_each_pixel(centre.grown(2, depth.size()), [&](int u, int v) {
+    if (std::isfinite(depth(u, v))) depths.push_back(depth(u, v));
+  });
+  if (!depths.empty()) return percentile_in_place(depths, 0.5) / camera.focal();
   RankedValues all = rank_values(depth, context);
   if (all.size() == 0) throw data_error("the surface has no depth at all, so there is nothing to assess");
   return percentiles(std::move(all), 1, {0.5})[0] / camera.focal();

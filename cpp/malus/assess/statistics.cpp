@@ -49,10 +49,6 @@ Histogram distance_histogram(std::span<const double> values, std::optional<doubl
   return histogram(values, first * width, last * width, static_cast<int>(last - first));
 }
 
-double percentile(std::vector<double> values, double fraction) {
-  return percentile_in_place(values, fraction);
-}
-
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions) {
   if (values.size() == 0) return std::vector<double>(fractions.size(), no_value);
   std::vector<std::size_t> ranks;  // for each fraction the rank at or below it, and the next

@@ -33,10 +33,8 @@ Histogram histogram(std::span<const double> values, double low, double high, int
 /// rounded to 1, 2 or 5 · 10ⁿ, with class borders at its multiples; about 200 classes at most.
 Histogram distance_histogram(std::span<const double> values, std::optional<double> range, int bins);
 
-/// Value below which this fraction of the values lies, linear between order statistics; NaN if there are none.
-double percentile(std::vector<double> values, double fraction);
-
-/// The same for several fractions, of the values divided by a positive divisor.
+/// Values below which these fractions of the values lie, linear between order statistics; NaN if there are none. All
+/// values are divided by a positive divisor.
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions);
 
 /// 1.4826 × median of |x|: for normal values about zero their standard deviation, hardly changed by outliers.

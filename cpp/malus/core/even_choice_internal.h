@@ -21,14 +21,20 @@ inline std::ptrdiff_t count_of_set(const Mask& pixels) {
   return std::count_if(pixels.begin(), pixels.end(), [](std::uint8_t pixel) { return pixel != 0; });
 }
 
+/// Mean of value(u, v) over the set pixels; 0 if none is set.
+template <class Value>
+double mean_over(const Mask& pixels, Value&& value) {
+  double sum = 0, count = 0;
+  for_each_pixel(pixels, [&](int u, int v) {
+    sum += value(u, v);
+    ++count;
+  });
+  return sum / std::max(count, 1.0);
+}
+
 /// Share of the set pixels of `whole` that are set in `part`; 0 if none is set.
 inline double share_within(const Mask& part, const Mask& whole) {
-  double inside = 0, all = 0;
-  for (std::size_t i = 0; i < whole.count(); ++i) {
-    all += whole[i] != 0;
-    inside += whole[i] && part[i];
-  }
-  return inside / std::max(all, 1.0);
+  return mean_over(whole, [&](int u, int v) { return part(u, v) != 0; });
 }
 
 /// Share that chooses about `wanted` of the set pixels, however large the image around them is (1 or more: all).
@@ -50,9 +56,10 @@ inline double side_of_set(const Mask& pixels) {
   return std::sqrt(static_cast<double>(count_of_set(pixels)));
 }
 
-/// Distance between sampled rows and columns: `of_image`, or less if that would leave fewer than `fewest` samples on a
-/// small object. An empty mask is the whole image.
-inline int stride_on(const Mask& object, int of_image, double fewest) {
+/// Distance between sampled rows and columns that takes at most `most` samples of an image, or less if that would leave
+/// fewer than `fewest` on a small object. An empty mask is the whole image.
+inline int stride_on(const Mask& object, Size image, double most, double fewest) {
+  const int of_image = static_cast<int>(std::sqrt(static_cast<double>(image.area()) / most)) + 1;
   if (object.empty()) return of_image;
   const double set = static_cast<double>(count_of_set(object));
   return std::clamp(static_cast<int>(std::sqrt(set / fewest)), 1, of_image);

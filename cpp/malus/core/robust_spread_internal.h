@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "malus/core/median_internal.h"
@@ -13,6 +14,12 @@ constexpr double deviation_per_median = 1.4826;
 /// it.
 inline double robust_spread(std::vector<double>& absolute_values) {
   return deviation_per_median * median_in_place(absolute_values);
+}
+
+/// The same of values about this middle.
+inline double robust_spread_about(double middle, std::vector<double> values) {
+  for (double& value : values) value = std::abs(value - middle);
+  return robust_spread(values);
 }
 
 }  // namespace malus

@@ -259,12 +259,12 @@ AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mas
           0};
 }
 
-AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels, const Pinhole& camera) {
+AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
   std::vector<AlignmentCue::Value> azimuths;
   std::vector<float> weights;
   for_each_pixel(pixels, [&](int u, int v) {
     const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
-    const RayFrame frame = ray_frame(camera.ray(u, v));
+    const RayFrame frame = ray_frame(scene.camera.ray(u, v));
     const Slopes slopes = frame.slopes(normal);
     const bool known = normal.dot(frame.view) > 0.1 && slopes.tan2() > 1e-6;
     azimuths.push_back(known ? std::polar(1.0F, static_cast<float>(4 * slopes.azimuth_rad())) : 0.0F);

@@ -79,7 +79,7 @@ AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mas
 
 /// Compares azimuths of the prior with phases: exp(4i ·) of both, which is the same for diffuse and specular
 /// reflection.
-AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels, const Pinhole& camera);
+AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels);
 
 /// Compares where the prior bends with where the image's brightness changes. None for a prior of uniform bending, such
 /// as a plane or a sphere.

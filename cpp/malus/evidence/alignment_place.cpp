@@ -97,25 +97,19 @@ bool is_clear(const Gain& gain, double beyond_sigmas) {
          (gain.joint > fair && beyond_sigmas > clear);
 }
 
-/// Offsets of one kind, tried to find the smallest that is detected.
-struct TriedOffsets {
-  std::vector<double Similarity::*> fields;
-  std::vector<double> offsets;
-  double tolerance;
-};
-
-/// The smallest offset at which the best place is clearly better, for both directions of all fields; 0 = none.
+/// The smallest of some offsets at which the best place is clearly better, for both directions of all fields; 0 = none.
 double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
-                     const TriedOffsets& tried) {
+                     const std::vector<double Similarity::*>& fields, const std::vector<double>& offsets,
+                     double tolerance) {
   const auto is_told_from = [&](double Similarity::*field, double offset) {
     Similarity moved = best;
     moved.*field += offset;
-    const double beyond = (std::abs(offset) - tried.tolerance) / (found.sigma.*field);
+    const double beyond = (std::abs(offset) - tolerance) / (found.sigma.*field);
     return is_clear(gain_of(problem, found.evidence, moved, best), beyond);
   };
-  for (const double offset : tried.offsets) {
-    if (offset < tried.tolerance) continue;
-    if (std::ranges::all_of(tried.fields, [&](double Similarity::*field) {
+  for (const double offset : offsets) {
+    if (offset < tolerance) continue;
+    if (std::ranges::all_of(fields, [&](double Similarity::*field) {
           return is_told_from(field, offset) && is_told_from(field, -offset);
         }))
       return offset;
@@ -127,10 +121,10 @@ double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& foun
 ToldOffsets told_offsets(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best) {
   const Tolerance& tolerance = found.tolerance();
   const double extent = problem.pixels.extent;
-  const auto told = [&](std::vector<double Similarity::*> fields, std::vector<double> offsets, double least,
+  const auto told = [&](const std::vector<double Similarity::*>& fields, std::vector<double> offsets, double least,
                         double unit) {
     for (double& offset : offsets) offset *= unit;
-    return smallest_told(problem, found, best, {std::move(fields), std::move(offsets), least * unit});
+    return smallest_told(problem, found, best, fields, offsets, least * unit);
   };
   return {told({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
           told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, to_radians(1)),

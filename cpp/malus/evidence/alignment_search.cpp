@@ -29,15 +29,15 @@ Mask compared_pixels(const PriorView& prior, const SceneView& scene) {
 
 }  // namespace
 
-AlignmentProblem::AlignmentProblem(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
+AlignmentProblem::AlignmentProblem(const PriorView& prior, const SceneView& scene) {
   const Mask compared = compared_pixels(prior, scene);
   pixels = template_pixels(compared);
   if (!is_usable()) return;
   if (!prior.brightness.empty()) {
     cues[color].emplace(color_cue(prior, scene, compared));
-    if (!(cues[color]->has_template())) cues[color].reset();
+    if (!cues[color]->has_template()) cues[color].reset();
   }
-  cues[phase].emplace(phase_cue(prior, scene, compared, camera));
+  cues[phase].emplace(phase_cue(prior, scene, compared));
   cues[edges] = edge_cue(prior, scene, compared);
 }
 

@@ -18,7 +18,7 @@ struct AlignmentProblem {
   std::array<std::optional<AlignmentCue>, kinds> cues;
 
   /// pixels: the prior's pixels on the object, or all of its pixels if those are too few.
-  AlignmentProblem(const PriorView& prior, const SceneView& scene, const Pinhole& camera);
+  AlignmentProblem(const PriorView& prior, const SceneView& scene);
   bool is_usable() const;
 };
 

@@ -10,14 +10,12 @@
 namespace malus {
 namespace {
 
-constexpr std::size_t most_points = 100000;
-constexpr double fewest_points = 2000;  ///< of a small object in a large image, or all of them
-
 /// Evenly sampled points of the prior on the object.
 std::vector<Eigen::Vector3d> points_of(const Image<float>& depth, const Mask& object, const Pinhole& camera) {
+  constexpr double most_points = 100000;
+  constexpr double fewest_points = 2000;  // of a small object in a large image, or all of them
   std::vector<Eigen::Vector3d> points;
-  const int of_image = static_cast<int>(std::sqrt(static_cast<double>(depth.count() / most_points))) + 1;
-  const int stride = stride_on(object, of_image, fewest_points);
+  const int stride = stride_on(object, depth.size(), most_points, fewest_points);
   for (int v = 0; v < depth.height(); v += stride) {
     for (int u = 0; u < depth.width(); u += stride) {
       if (object(u, v) != 0 && std::isfinite(depth(u, v))) points.push_back(depth(u, v) * camera.ray(u, v));

@@ -63,7 +63,7 @@ bool MaskCoverage::has_surroundings() const {
   return beside > well_covered;
 }
 
-MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
+MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene) {
   double object = 0, beside = 0;
   MaskCoverage covered;
   for (std::size_t i = 0; i < prior.seen.count(); ++i) {
@@ -76,7 +76,7 @@ MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene, const
   covered.black = beside / std::max(object + beside, 1.0);
   covered.border = border_share(scene.object);
   std::vector<double> steps = steps_across(prior.depth, scene.object);
-  if (steps.size() >= fewest_steps) covered.outline_step = median_in_place(steps) * camera.focal();
+  if (steps.size() >= fewest_steps) covered.outline_step = median_in_place(steps) * scene.camera.focal();
   return covered;
 }
 

@@ -2,7 +2,6 @@
 
 // Private to the evidence room: how a prior and a mask overlap.
 
-#include "malus/core/camera.h"
 #include "malus/evidence/reduced_view_internal.h"
 
 namespace malus {
@@ -26,7 +25,6 @@ struct MaskCoverage {
   bool has_surroundings() const;
 };
 
-/// camera: the one of the views.
-MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene, const Pinhole& camera);
+MaskCoverage mask_coverage(const PriorView& prior, const SceneView& scene);
 
 }  // namespace malus

@@ -4,7 +4,6 @@
 #include <limits>
 #include <numbers>
 #include <optional>
-#include <sstream>
 #include <utility>
 #include <vector>
 
@@ -32,14 +31,7 @@ std::string in_words(double metres) {
                              : size < 0.5  ? std::pair(1e3, "mm")
                              : size < 2000 ? std::pair(1.0, "m")
                                            : std::pair(1e-3, "km");
-  std::ostringstream text;
-  text.precision(3);
-  const double value = metres * scale;
-  // Avoids the exponent that three digits of a thousand would have.
-  text << (std::abs(value) >= 1000 ? std::round(value / 10) * 10 : value);
-  std::string digits = text.str();
-  if (digits.find('e') != std::string::npos) digits = std::to_string(std::lround(value));
-  return digits + " " + name;
+  return with_digits(metres * scale, 3) + " " + name;
 }
 
 double range_of(std::vector<double> values) {

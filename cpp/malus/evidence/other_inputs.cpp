@@ -69,8 +69,8 @@ std::vector<ImageTurn> image_turns(Size size) {
 }
 
 SceneView undone(const SceneView& scene, const ImageTurn& turn) {
-  return {scene.factor,           undone(scene.brightness, turn), undone(scene.seen, turn),  undone(scene.s1, turn),
-          undone(scene.s2, turn), undone(scene.variance, turn),   undone(scene.object, turn)};
+  return {scene.factor,           scene.camera,           undone(scene.brightness, turn), undone(scene.seen, turn),
+          undone(scene.s1, turn), undone(scene.s2, turn), undone(scene.variance, turn),   undone(scene.object, turn)};
 }
 
 CoverageCounter::CoverageCounter(const Pinhole& camera, const Mask& object, int cells_per_side)

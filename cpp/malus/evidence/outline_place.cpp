@@ -101,12 +101,13 @@ bool OutlinePlace::is_offset() const {
   return is_beyond && is_peak && at_best - as_given > offset_gain && gain_sigmas > offset_sigmas;
 }
 
-OutlinePlace find_outline(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
+OutlinePlace find_outline(const PriorView& prior, const SceneView& scene) {
   OutlinePlace found;
   const Outline outline = outline_of(scene.object);
   found.extent = outline.extent;
   if (outline.pixels.empty()) return found;
-  const auto steps = [&](const Similarity& moved) { return steps_at(outline, prior.depth, camera.focal(), moved); };
+  const double focal = scene.camera.focal();
+  const auto steps = [&](const Similarity& moved) { return steps_at(outline, prior.depth, focal, moved); };
   const Sectors given = steps({});
   found.as_given = found.at_best = total(given);
   const int reach = static_cast<int>(std::ceil(largest_move * outline.extent));

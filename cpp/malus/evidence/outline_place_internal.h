@@ -2,7 +2,6 @@
 
 // Private to the evidence room: how well the depth steps of a prior lie on the mask's outline.
 
-#include "malus/core/camera.h"
 #include "malus/evidence/alignment_cue_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 
@@ -21,7 +20,7 @@ struct OutlinePlace {
 };
 
 /// Searches shifts and changes of size up to 10 % of the object. The depth step at an outline pixel counts from −1 to
-/// 1: fully from 2 pixels of the view on, and 0 where the prior does not know both sides. camera: the one of the views.
-OutlinePlace find_outline(const PriorView& prior, const SceneView& scene, const Pinhole& camera);
+/// 1: fully from 2 pixels of the view on, and 0 where the prior does not know both sides.
+OutlinePlace find_outline(const PriorView& prior, const SceneView& scene);
 
 }  // namespace malus

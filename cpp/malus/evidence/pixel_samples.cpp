@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cmath>
 #include <string>
 
 #include "malus/core/error.h"
@@ -38,8 +37,7 @@ PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::v
   PixelSamples samples;
   const Size size = images.front().size();
   const double wanted = std::min(most_samples, most_values / static_cast<double>(images.size()));
-  const int of_image = static_cast<int>(std::sqrt(static_cast<double>(size.area()) / wanted)) + 1;
-  const int stride = stride_on(mask, of_image, least_on_object * wanted);
+  const int stride = stride_on(mask, size, wanted, least_on_object * wanted);
   const int side = 2 * reach_px + 1;
   for (int v = reach_px; v < size.height - reach_px; v += stride) {
     for (int u = reach_px; u < size.width - reach_px; u += stride) {

@@ -220,16 +220,14 @@ class Views {
 };
 
 Views<SceneView> views_of(const AlignmentScene& scene) {
-  return Views<SceneView>([&scene](int factor) { return scene_view(scene.state, scene.scene, scene.object, factor); });
+  return Views<SceneView>([&scene](int factor) { return scene_view(scene, factor); });
 }
 
 /// Compares a prior with the images as given and with turned or mirrored images.
 AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Views<SceneView>& scenes,
                        PriorAlignment& found, const Context& context) {
   const Size size = scene.state.size();
-  const auto problem_at = [&](int factor) {
-    return AlignmentProblem(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
-  };
+  const auto problem_at = [&](int factor) { return AlignmentProblem(priors.at(factor), scenes.at(factor)); };
   const AlignmentPlace place = find_place(problem_at, size, false, context);
   take(place, found);
   if (!place.usable) {
@@ -242,7 +240,7 @@ AlignmentPlace compare(Views<PriorView>& priors, const AlignmentScene& scene, Vi
   const std::vector<ImageTurn> turns = image_turns(size);
   const ImageTurn* const turn = best_idea(turns, place, [&](const ImageTurn& idea) {
     const auto turned_problem_at = [&](int factor) {
-      return AlignmentProblem(priors.at(factor), undone(scenes.at(factor), idea), reduced_camera(scene.camera, factor));
+      return AlignmentProblem(priors.at(factor), undone(scenes.at(factor), idea));
     };
     return find_place(turned_problem_at, size, true, context);
   });
@@ -263,8 +261,8 @@ void try_other_clouds(const PointCloud& cloud, const Pose& pose, const Alignment
   std::erase_if(ideas, [](const MovedCloud& idea) { return idea.coverage.covered < moved_covers; });
   const MovedCloud* best = best_idea(ideas, place, [&](const MovedCloud& idea) {
     const auto problem_at = [&](int factor) {
-      const Pinhole camera = reduced_camera(scene.camera, factor);
-      return AlignmentProblem(prior_view(cloud, camera, idea.cam_from_cloud), scenes.at(factor), camera);
+      const SceneView& view = scenes.at(factor);
+      return AlignmentProblem(prior_view(cloud, view.camera, idea.cam_from_cloud), view);
     };
     return find_place(problem_at, scene.state.size(), true, context);
   });
@@ -289,7 +287,7 @@ double sparse_points_on_object(const PointCloud& cloud, const Eigen::Affine3d& g
 void judge_outline(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
                    const MaskCoverage& covered, PriorAlignment& found) {
   if (covered.object < PriorAlignment::poorly_covered || !covered.has_surroundings()) return;
-  const OutlinePlace outline = find_outline(prior, view, reduced_camera(scene.camera, view.factor));
+  const OutlinePlace outline = find_outline(prior, view);
   found.outline_as_given = outline.as_given;
   found.outline_at_best = outline.at_best;
   found.outline_gain_sigmas = outline.gain_sigmas;
@@ -308,13 +306,13 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
 }
 
 /// Whether the object's brightness comes from mirrored surroundings, to which the colors of a cloud are unrelated.
-bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const Pinhole& camera) {
+bool mirrors_surroundings(const PriorView& prior, const SceneView& scene) {
   constexpr double usual_index = 1.5;
   std::vector<double> ratios;
   for_each_pixel(scene.object.size(), [&](int u, int v) {
     if (scene.object(u, v) == 0 || prior.seen(u, v) == 0 || !(scene.variance(u, v) > 0)) return;
     const Eigen::Vector3d normal(prior.normals(u, v, 0), prior.normals(u, v, 1), prior.normals(u, v, 2));
-    const double tan2 = ray_frame(camera.ray(u, v)).slopes(normal).tan2();
+    const double tan2 = ray_frame(scene.camera.ray(u, v)).slopes(normal).tan2();
     if (!std::isfinite(tan2)) return;
     const double matt = diffuse_degree(std::atan(std::sqrt(tan2)), usual_index);
     ratios.push_back(std::hypot(scene.s1(u, v), scene.s2(u, v)) / (matt + least_degree));
@@ -325,8 +323,7 @@ bool mirrors_surroundings(const PriorView& prior, const SceneView& scene, const 
 /// Colors of the same object correlate with its brightness even where reflections differ, except for black lacquer. If
 /// outline or slopes agree, as for two similar coins or tablets, unrelated colors only give a caution: the light may
 /// have differed, and an object without markings shows nothing but the light.
-void judge_relation(const PriorView& prior, const SceneView& view, const AlignmentScene& scene,
-                    const MaskCoverage& covered, PriorAlignment& found) {
+void judge_relation(const PriorView& prior, const SceneView& view, const MaskCoverage& covered, PriorAlignment& found) {
   if (!found.instead.empty() || found.finding.severity != Severity::note ||
       covered.object < PriorAlignment::poorly_covered || !found.color.available)
     return;
@@ -337,7 +334,7 @@ void judge_relation(const PriorView& prior, const SceneView& view, const Alignme
     say(found, Severity::warning,
         "the images show nothing of what the prior shows: neither its colors nor its slopes nor its outline",
         "are they images of this object, in the order of their angles, and the prior's frame that of [camera]?");
-  } else if (!mirrors_surroundings(prior, view, reduced_camera(scene.camera, view.factor))) {
+  } else if (!mirrors_surroundings(prior, view)) {
     say(found, Severity::caution,
         "the cloud's colors have nothing in common with the brightness of the images, though outline or slopes have",
         "are they of the same object, and not of one that is like it? Other light on an object without markings does "
@@ -375,13 +372,7 @@ void judge_coverage(const MaskCoverage& covered, const std::string& what, PriorA
 
 /// Share of the object's pixels that have a depth.
 double share_with_depth(const Image<float>& depth, const Mask& object) {
-  double pixels = 0, known = 0;
-  for (std::size_t i = 0; i < object.count(); ++i) {
-    if (object[i] == 0) continue;
-    ++pixels;
-    known += std::isfinite(depth[i]) && depth[i] > 0;
-  }
-  return known / std::max(pixels, 1.0);
+  return mean_over(object, [&](int u, int v) { return std::isfinite(depth(u, v)) && depth(u, v) > 0; });
 }
 
 }  // namespace
@@ -405,7 +396,7 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(cloud, reduced_camera(scene.camera, factor), given); });
   const int factor = coarse_factor(scene.state.size());
-  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor));
   if (std::isnan(covered.object)) covered.object = coverage.covered;
   found.object_covered = covered.object;
   found.outline_step_gsd = covered.outline_step * factor;
@@ -419,7 +410,7 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
       (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
     try_other_clouds(cloud, pose, scene, coverage_of, scenes, place, found, context);
   judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
-  judge_relation(priors.at(factor), scenes.at(factor), scene, covered, found);
+  judge_relation(priors.at(factor), scenes.at(factor), covered, found);
   if (sparse == 0 || covered.is_mask_inverted()) {
     judge_coverage(covered, "cloud", found);
   } else if (covered.object < too_little_covered) {
@@ -439,7 +430,7 @@ PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& 
   Views<SceneView> scenes = views_of(scene);
   Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });
   const int factor = coarse_factor(scene.state.size());
-  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor), reduced_camera(scene.camera, factor));
+  MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor));
   if (std::isnan(covered.object)) covered.object = share_with_depth(depth, scene.object);
   found.object_covered = covered.object;
   found.outline_step_gsd = covered.outline_step * factor;

@@ -76,11 +76,16 @@ void drop_hidden(std::vector<SplatPoint>& points, const Pinhole& camera) {
 
 }  // namespace
 
-SceneView scene_view(const PolarizationState& state, const Image<float>& scene, const Mask& object, int factor) {
+SceneView scene_view(const AlignmentScene& images, int factor) {
+  const PolarizationState& state = images.state;
+  const Image<float>& scene = images.scene;
+  const Mask& object = images.object;
   require_size(object, state.size(), "mask");
   if (!scene.empty()) require_size(scene, state.size(), "unpolarized intensity of the scene");
-  const Size size{state.size().width / factor, state.size().height / factor};
+  const Pinhole camera = reduced_camera(images.camera, factor);
+  const Size size = camera.size;
   SceneView view{factor,
+                 camera,
                  Image<float>(size, 1, no_value),
                  Mask(size),
                  Image<float>(size),

@@ -6,13 +6,14 @@
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
-#include "malus/polarization/polarization_state.h"
+#include "malus/evidence/prior_alignment_internal.h"
 
 namespace malus {
 
 /// The station's images at reduced size: each pixel covers factor × factor pixels of the images.
 struct SceneView {
   int factor = 1;
+  Pinhole camera;           ///< of this view
   Image<float> brightness;  ///< ln of the unpolarized intensity
   Mask seen;                ///< 255 where the brightness is known
   Image<float> s1, s2;      ///< mean (s1, s2) / s0 of the valid pixels; 0 = none
@@ -22,9 +23,7 @@ struct SceneView {
   Size size() const { return brightness.size(); }
 };
 
-/// scene: unpolarized intensity of everything in view; empty = only the state's valid pixels are known. object: the
-/// mask, of the state's size.
-SceneView scene_view(const PolarizationState& state, const Image<float>& scene, const Mask& object, int factor);
+SceneView scene_view(const AlignmentScene& images, int factor);
 
 /// The prior surface as the station sees it, in the same pixels as SceneView.
 struct PriorView {

@@ -10,7 +10,7 @@ namespace malus {
 /// Pixel indices (v · width + u).
 using PixelSet = std::vector<std::size_t>;
 
-/// Connected sets (4-neighborhood) of the set pixels of a mask, in order of their first pixel.
+/// Connected sets (4-neighborhood) of the set pixels of a mask, each in the order of its pixels.
 std::vector<PixelSet> connected_sets(const Mask& mask);
 
 }  // namespace malus

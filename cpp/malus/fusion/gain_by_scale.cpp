@@ -47,7 +47,6 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     pixels.reserve(static_cast<std::size_t>(finest_px * finest_px));
     Cell cell;
     for_each_pixel(of_cell, part.usable, [&](int u, int v) {
-      if (!part.object(u, v)) return;
       const double weight = stokes_weight(part, u, v);
       const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
       const PixelReflection reflection = part.reflection_at(u, v);

@@ -2,17 +2,17 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <optional>
+#include <opencv2/imgproc.hpp>
 #include <sstream>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
-#include "malus/core/disjoint_sets_internal.h"
 #include "malus/core/fields.h"
 #include "malus/core/finite_mean_internal.h"
+#include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
@@ -122,28 +122,19 @@ void smooth_nodes(Image<float>& nodes, const Mask& needed, double sigma, const C
 /// one part. The equations give slopes, so each part has a free constant, and the Gaussian over the nodes would mix the
 /// constants across the gaps between parts.
 Image<float> with_parts_in_place(const Image<float>& height, const Image<float>& prior, const Context& context) {
-  const auto width = static_cast<std::size_t>(height.width());
-  const auto is_known = [&](std::size_t i) { return std::isfinite(height[i]); };
-  DisjointSets sets(height.count());
-  std::optional<std::size_t> gap;  // all pixels without a height are one set
-  for (std::size_t i = 0; i < height.count(); ++i) {
-    if (!is_known(i)) {
-      if (!gap) gap = i;
-      sets.join(static_cast<int>(*gap), static_cast<int>(i));
-      continue;
-    }
-    if (i % width > 0 && is_known(i - 1)) sets.join(static_cast<int>(i - 1), static_cast<int>(i));
-    if (i >= width && is_known(i - width)) sets.join(static_cast<int>(i - width), static_cast<int>(i));
-  }
-  const std::pair<std::vector<int>, int> numbered = std::move(sets).numbered();
-  const std::vector<int>& part_of = numbered.first;
-  if (numbered.second - (gap ? 1 : 0) < 2) return {};
+  const OpenCvThreads opencv_threads(context.threads);
+  Mask known(height.size());
+  for (std::size_t i = 0; i < known.count(); ++i) known[i] = std::isfinite(height[i]) ? 255 : 0;
+  cv::Mat numbers;  // of the parts, from 1 on; 0 where there is no height
+  const int parts = cv::connectedComponents(as_mat(known), numbers, 4) - 1;
+  if (parts < 2) return {};
+  const int* const part_of = numbers.ptr<int>();
 
   struct Offset {
     double sum = 0, pixels = 0;
     double mean() const { return pixels > 0 ? sum / pixels : 0; }
   };
-  std::vector<Offset> offsets(static_cast<std::size_t>(numbered.second));
+  std::vector<Offset> offsets(static_cast<std::size_t>(parts) + 1);
   for (std::size_t i = 0; i < height.count(); ++i) {
     const double offset = static_cast<double>(prior[i]) - height[i];
     if (!std::isfinite(offset)) continue;

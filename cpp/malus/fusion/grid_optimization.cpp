@@ -160,8 +160,7 @@ class Tile {
   }
 
   bool has_sides(int u, int v, int side) const {
-    const bool in_box = u + side >= box_.u0 && u + side < box_.u1 && v + side >= box_.v0 && v + side < box_.v1;
-    return in_box && has(u + side, v) && has(u, v + side);
+    return box_.contains(u + side, v + side) && has(u + side, v) && has(u, v + side);
   }
 
   void add_side(const PixelEquations& pixel, int u, int v, int side, double share) {

@@ -100,6 +100,15 @@ std::vector<QuadIndex> quads_after(int u, int v, int reach) {
   return {{column, row}, {last_column, row}, {column, last_row}, {last_column, last_row}};
 }
 
+std::vector<QuadIndex> quads_of_block(int column, int row) {
+  constexpr int side = prior_block_px / quad_px;
+  std::vector<QuadIndex> quads;
+  for_each_pixel(PixelRect{side * column, side * row, side * (column + 1), side * (row + 1)}, [&](int u, int v) {
+    quads.push_back({u, v});
+  });
+  return quads;
+}
+
 }  // namespace
 
 int nodes_on_object(const RefinementField& field, QuadIndex quad) {
@@ -234,21 +243,7 @@ void AlbedoCost::evaluate(double const* const* parameters, double* residuals, do
 }
 
 PriorBlockCost::PriorBlockCost(const RefinementField& field, int block_column, int block_row)
-    : QuadCost(
-          field,
-          [&] {
-            constexpr int quads_per_side = prior_block_px / quad_px;
-            std::vector<QuadIndex> quads;
-            for (int row = 0; row < quads_per_side; ++row) {
-              for (int column = 0; column < quads_per_side; ++column) {
-                quads.push_back({quads_per_side * block_column + column, quads_per_side * block_row + row});
-              }
-            }
-            return quads;
-          }(),
-          1),
-      block_column_(block_column),
-      block_row_(block_row) {
+    : QuadCost(field, quads_of_block(block_column, block_row), 1), block_column_(block_column), block_row_(block_row) {
   for (const QuadIndex quad : quads_) count_ += nodes_on_object(field, quad);
 }
 

@@ -60,10 +60,6 @@ void label_regions(RefinementImage& image, const RefineInput& input, const std::
   });
 }
 
-MirroredTerms mirrored_terms(const RefineOptions& options) {
-  return {options.environment, options.lobe};
-}
-
 /// Fits the parameters that all pixels share at the current surface; those of specular regions only if they are not
 /// known yet. Returns the relative decrease of the robust cost by the lobe.
 double fit_reflection(RefinementImage& image, const RefineOptions& options, bool is_mirror_known, RefineReport& report,
@@ -78,7 +74,7 @@ double fit_reflection(RefinementImage& image, const RefineOptions& options, bool
     image.shading = shading.harmonics;
     HighlightLobe start = image.reflection.lobe;
     if (start.strength == 0) start.light = shading.light;
-    const DiffuseFit fit = fit_diffuse(diffuse, image.reflection.eta, mirrored_terms(options), start, context);
+    const DiffuseFit fit = fit_diffuse(diffuse, image.reflection.eta, options, start, context);
     image.reflection.environment = fit.environment;
     image.reflection.lobe = fit.lobe;
     if (options.environment) report.environment_sigma = fit.environment_sigma;
@@ -185,8 +181,7 @@ class Refiner {
   void find_index(std::optional<double> stated) {
     stated_index_ = stated;
     if (stated && !options_.correct_index) return;
-    const RefractiveIndexFit fit =
-        fit_refractive_index(image_, image_.reflection.eta, mirrored_terms(options_), context_);
+    const RefractiveIndexFit fit = fit_refractive_index(image_, image_.reflection.eta, options_, context_);
     const bool takes = stated ? fit.contradicts : fit.determined;
     if (takes) image_.reflection.eta = fit.eta;
     report_index(takes, fit.sigma);
@@ -327,13 +322,7 @@ class Refiner {
     // The errors of meshes and depth maps are only assumed.
     if (prior.smoothing_px > 0) stay_near_prior(x_prior);
     // Pixels without usable polarization follow their neighbors, and are not counted as evidence.
-    double trust = 0, count = 0;
-    for (std::size_t i = 0; i < report_.trust.count(); ++i) {
-      if (!image_.usable[i]) continue;
-      trust += report_.trust[i] / 255.0;
-      ++count;
-    }
-    report_.trusted_share = trust / std::max(count, 1.0);
+    report_.trusted_share = mean_over(image_.usable, [&](int u, int v) { return report_.trust(u, v) / 255.0; });
     report_.explained_beyond_plane = mean_over_object(beyond_plane);
   }
 
@@ -490,12 +479,9 @@ class Refiner {
 
   /// Share of the object within two of the prior's standard deviations of the prior.
   double within_prior_errors(const Image<double>& x_prior) const {
-    double within = 0, count = 0;
-    for_each_pixel(image_.object, [&](int u, int v) {
-      within += std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
-      ++count;
+    return mean_over(image_.object, [&](int u, int v) {
+      return std::abs(image_.x(u, v) - x_prior(u, v)) <= 2 * image_.source(u, v).prior_sigma;
     });
-    return within / std::max(count, 1.0);
   }
 
   WeightOptions weights(double widening, bool regional) const {
@@ -530,9 +516,8 @@ class Refiner {
   /// differs from the supposed one.
   void correct_index() {
     constexpr std::size_t samples = 4000;
-    const double index =
-        index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
-                      {report_.surroundings.roughness, report_.surroundings.other_roughness}, context_);
+    const double index = index_of_body(collect_samples(image_, Reflection::diffuse, samples), image_.reflection.eta,
+                                       report_.surroundings.finishes, context_);
     if (index == image_.reflection.eta) return;
     image_.reflection.eta = index;
     map_.material.index = index;
@@ -566,12 +551,8 @@ class Refiner {
   }
 
   double mean_over_object(const Image<float>& cells) const {
-    double sum = 0, count = 0;
-    for_each_pixel(image_.object, [&](int u, int v) {
-      sum += between_cells(cells, ExplainedPolarization::cell_px, u, v);
-      ++count;
-    });
-    return sum / count;
+    return mean_over(image_.object,
+                     [&](int u, int v) { return between_cells(cells, ExplainedPolarization::cell_px, u, v); });
   }
 
   /// Field of a strip with its weights. Adds the residuals to the summary unless it is null.

@@ -1,5 +1,6 @@
 #include <cmath>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/refinement_image_internal.h"
 
@@ -69,13 +70,8 @@ class StationPixels {
 };
 
 double mean_log_depth(const Mask& pixels, const DepthPrior& prior) {
-  double sum = 0, count = 0;
-  for_each_pixel(pixels, [&](int u, int v) {
-    sum += std::log(static_cast<double>(prior.depth(u, v)));
-    ++count;
-  });
-  if (count == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
-  return sum / count;
+  if (count_of_set(pixels) == 0) throw data_error("refine: the prior has a depth on no pixel of the object");
+  return mean_over(pixels, [&](int u, int v) { return std::log(static_cast<double>(prior.depth(u, v))); });
 }
 
 }  // namespace

@@ -22,8 +22,8 @@ void estimate_mirror_body(RefinementField& field, const Context& context) {
   constexpr double blur_px = 4, few = 0.02;
   const MirrorReflection& mirror = field.reflection.mirror;
   Image<float> body(field.size(), 1, no_value), weight(field.size(), 1, no_value), product(field.size(), 1, no_value);
-  parallel_pixels(context, field.size(), [&](int u, int v) {
-    if (!field.object(u, v) || !field.usable(u, v) || field.kind(u, v) != Reflection::specular) return;
+  parallel_pixels(context, field.usable, [&](int u, int v) {
+    if (field.kind(u, v) != Reflection::specular) return;
     const double tan2 = central_slopes(field, u, v).tan2();
     const double rest = field.s0(u, v) - mirror.environment * fresnel_factors(tan2, field.reflection.eta).reflectance;
     const double w = 1 / (1 + square(square((rest - mirror.body) / (likely * mirror.body))));
@@ -52,7 +52,7 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
     field.stokes_precision(u, v) = 0;
     field.regional_weight(u, v) = 1;
     field.log_body(u, v) = no_value;
-    if (!field.object(u, v) || !field.usable(u, v)) return;
+    if (!field.usable(u, v)) return;
     const Slopes slopes = central_slopes(field, u, v);
     const RayFrame frame = field.frame_at(u, v);
     const double s0 = field.s0(u, v);
@@ -141,9 +141,7 @@ void ResidualSummary::add(const PixelResiduals& part, RowRange rows, int first_r
       if (!std::isfinite(squared)) continue;
       cost_ += std::log1p(0.5 * squared);
       ++count_;
-      const auto pixel = static_cast<std::size_t>(first_row + v) * static_cast<std::size_t>(image_.width) +
-                         static_cast<std::size_t>(u);
-      if (!is_chosen(pixel, share_)) continue;
+      if (!is_chosen(image_.index(u, first_row + v), share_)) continue;
       squared_.push_back(squared);
       if (u + 1 == image_.width) continue;
       const float step = std::abs(part.log_albedo(u + 1, v) - part.log_albedo(u, v));

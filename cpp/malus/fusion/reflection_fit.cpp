@@ -136,9 +136,7 @@ LinearFit fit_linear(const std::vector<LinearizedSample>& samples, const std::ve
     fit.values = solve_nonnegative(normal, rhs);
     for (std::size_t i = 0; i < samples.size(); ++i) {
       const LinearizedSample& s = samples[i];
-      const double e =
-          (1 - s.position.share) * fit.values[s.position.node] + s.position.share * fit.values[s.position.node + 1];
-      Eigen::Vector2d residual = s.base - e * s.environment;
+      Eigen::Vector2d residual = s.base - s.position.between(fit.values.data()) * s.environment;
       if (lobe != nullptr) residual -= fit.values[node_count] * (*lobe)[i];
       squares[i] = residual.squaredNorm();
     }
@@ -177,9 +175,8 @@ class LobeResidual : public ceres::SizedCostFunction<2, node_count, 1, 1, 2> {
     const double* environment = parameters[0];
     const int node = linear_.position.node;
     const double share = linear_.position.share;
-    const double e = environment[node] * (1 - share) + environment[node + 1] * share;
     Eigen::Map<Eigen::Vector2d> value(residual);
-    value = linear_.base - e * linear_.environment;
+    value = linear_.base - linear_.position.between(environment) * linear_.environment;
     if (jacobians == nullptr) {
       value += lobe(parameters[1][0], parameters[2][0], parameters[3]);
       return true;
@@ -251,11 +248,8 @@ double robust_cost(const SampleSet& set, const EnvironmentProfile& environment, 
   double cost = 0;
   for (std::size_t i = 0; i < set.samples.size(); ++i) {
     const LinearizedSample& s = set.linear[i];
-    const auto node = static_cast<std::size_t>(s.position.node);
-    const double e =
-        environment.radiance[node] * (1 - s.position.share) + environment.radiance[node + 1] * s.position.share;
-    const Eigen::Vector2d residual =
-        s.base - e * s.environment - lobe.strength * lobe_column(set.samples[i], lobe, set.eta);
+    const Eigen::Vector2d residual = s.base - s.position.between(environment.radiance.data()) * s.environment -
+                                     lobe.strength * lobe_column(set.samples[i], lobe, set.eta);
     cost += std::log1p(residual.squaredNorm() / 4);
   }
   return cost / static_cast<double>(set.samples.size());
@@ -325,13 +319,11 @@ void refine_lobe(const SampleSet& set, double scale, DiffuseFit& fit, const Cont
 /// enough to mirror them.
 double body_spread(const std::vector<ReflectionSample>& samples, const MirrorReflection& mirror, double eta) {
   constexpr double frontal_tan2 = 1.0 / 3;  // zenith below 30°
-  std::vector<double> rest, deviation;
+  std::vector<double> rest;
   for (const ReflectionSample& s : samples) {
     if (s.tan2() < frontal_tan2) rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.tan2(), eta).reflectance);
   }
-  const double middle = median(rest);
-  for (const double value : rest) deviation.push_back(std::abs(value - middle));
-  return robust_spread(deviation) / mirror.body;
+  return robust_spread_about(median(rest), rest) / mirror.body;
 }
 
 std::array<double, node_count> nodes_of(const Eigen::VectorXd& values) {
@@ -405,7 +397,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   return harmonics;
 }
 
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const RefineOptions& options,
                        const HighlightLobe& start, const Context& context) {
   DiffuseFit fit;
   fit.lobe = start;
@@ -415,7 +407,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   linear.reserve(samples.size());
   for (const ReflectionSample& s : samples) {
     linear.push_back(linearize(s, eta));
-    if (!terms.environment) linear.back().environment.setZero();
+    if (!options.environment) linear.back().environment.setZero();
   }
   const SampleSet set{samples, linear, eta};
 
@@ -423,7 +415,7 @@ DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta,
   fit.environment.radiance = nodes_of(plain.values);
   fit.environment_sigma = nodes_of(plain.sigma);
   fit.cost = fit.cost_without_lobe = plain.cost;
-  if (!terms.lobe) return fit;
+  if (!options.lobe) return fit;
 
   const std::vector<double> roughnesses =
       start.strength > 0 ? std::vector{start.roughness} : std::vector{0.1, 0.15, 0.2, 0.25, 0.3, 0.4};
@@ -482,9 +474,8 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   for (std::size_t i = 0; i < count; ++i) {
     environment[i] = (samples[i].s0 - body) / fresnel_factors(samples[i].tan2(), eta).reflectance;
   }
-  std::vector<double> sorted = environment;
-  std::sort(sorted.begin(), sorted.end());
-  const double top = 1.1 * std::max(sorted[static_cast<std::size_t>(0.98 * static_cast<double>(count - 1))], 1e-6);
+  std::vector<double> reordered = environment;
+  const double top = 1.1 * std::max(quantile_in_place(reordered, 0.98), 1e-6);
   constexpr std::size_t bins = 80;
   std::array<double, bins + 2> histogram{};
   for (const double e : environment) {
@@ -500,13 +491,12 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
     }
   }
   const double peak = (static_cast<double>(mode) - 0.5) / bins * top;
-  std::vector<double> near, deviation;
+  std::vector<double> near;
   for (const double e : environment) {
     if (std::abs(e - peak) < 0.2 * peak) near.push_back(e);
   }
   const double usual = near.empty() ? peak : median(near);
-  for (const double e : near) deviation.push_back(std::abs(e - usual));
-  fit.environment_sigma = robust_spread(deviation);
+  fit.environment_sigma = robust_spread_about(usual, near);
   fit.mirror = {std::max(body, 1e-3 * usual), usual};
   fit.mirror.body_spread = body_spread(samples, fit.mirror, eta);
   return fit;
@@ -538,7 +528,8 @@ struct SamplesByKind {
   }
 };
 
-IndexSearch search_index(const SamplesByKind& samples, double supposed, MirroredTerms terms, const Context& context) {
+IndexSearch search_index(const SamplesByKind& samples, double supposed, const RefineOptions& options,
+                         const Context& context) {
   HighlightLobe start;
   if (!samples.diffuse.empty()) start.light = fit_shading(samples.diffuse).light;
   Context alone = context;  // the tries already run in parallel
@@ -546,7 +537,8 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
   const auto cost = [&](double eta) {
     double sum = 0;
     if (!samples.diffuse.empty()) {
-      sum += static_cast<double>(samples.diffuse.size()) * fit_diffuse(samples.diffuse, eta, terms, start, alone).cost;
+      sum +=
+          static_cast<double>(samples.diffuse.size()) * fit_diffuse(samples.diffuse, eta, options, start, alone).cost;
     }
     if (!samples.specular.empty())
       sum += static_cast<double>(samples.specular.size()) * fit_specular(samples.specular, eta).cost;
@@ -557,7 +549,7 @@ IndexSearch search_index(const SamplesByKind& samples, double supposed, Mirrored
 
 }  // namespace
 
-RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
+RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, const RefineOptions& options,
                                         const Context& context) {
   constexpr std::size_t largest_count = 8000, parts = 8;
   // On twelve random objects the error of the index was 0.06 RMS, twice the estimate from the scatter of its parts.
@@ -566,12 +558,12 @@ RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double sup
                         collect_samples(image, Reflection::specular, largest_count)};
   for (ReflectionSample& s : samples.diffuse) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
   for (ReflectionSample& s : samples.specular) s.sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::specular));
-  const IndexSearch search = search_index(samples, supposed, terms, context);
+  const IndexSearch search = search_index(samples, supposed, options, context);
   RefractiveIndexFit fit{search.index};
   if (!search.within) return fit;
   double sum = 0, squares = 0;
   for (std::size_t part = 0; part < parts; ++part) {
-    const double eta = search_index(samples.run(part, parts), supposed, terms, context).index;
+    const double eta = search_index(samples.run(part, parts), supposed, options, context).index;
     sum += eta;
     squares += eta * eta;
   }

@@ -6,6 +6,7 @@
 
 #include "malus/core/context.h"
 #include "malus/fusion/refinement_image_internal.h"
+#include "malus/options/fusion_options.h"
 
 namespace malus {
 
@@ -49,15 +50,10 @@ struct DiffuseFit {
   double strength_sigma = 0, roughness_sigma = 0, light_sigma_rad = 0;
 };
 
-/// Mirrored light that the diffuse model includes.
-struct MirroredTerms {
-  bool environment = true, lobe = true;
-};
-
-/// Fits the environment profile and, where it lowers the robust cost, a highlight lobe, each only if `terms` includes
-/// it. `start` is the previous fit's lobe; if its strength is 0, the fit starts from its light direction and several
-/// roughnesses.
-DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, MirroredTerms terms,
+/// Fits the environment profile and, where it lowers the robust cost, a highlight lobe, each only if the options
+/// include it. `start` is the previous fit's lobe; if its strength is 0, the fit starts from its light direction and
+/// several roughnesses.
+DiffuseFit fit_diffuse(const std::vector<ReflectionSample>& samples, double eta, const RefineOptions& options,
                        const HighlightLobe& start, const Context& context);
 
 struct SpecularFit {
@@ -83,7 +79,7 @@ struct RefractiveIndexFit {
 /// Refractive index from 1.3 to 2.0 that explains the pixels of the image best at their slopes; all other parameters
 /// are fitted for each tried index. Call it at the prior's slopes: refined slopes would confirm the index that they
 /// were found with.
-RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, MirroredTerms terms,
+RefractiveIndexFit fit_refractive_index(const RefinementImage& image, double supposed, const RefineOptions& options,
                                         const Context& context);
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #include <algorithm>
 
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/connected_sets_internal.h"
@@ -15,8 +16,7 @@ struct Evidence {
 
 Evidence collect_evidence(const RefinementField& field, const Context& context) {
   Evidence evidence{Image<float>(field.size(), 1, no_value), Image<float>(field.size(), 1, no_value)};
-  parallel_pixels(context, field.size(), [&](int u, int v) {
-    if (!field.object(u, v) || !field.usable(u, v)) return;
+  parallel_pixels(context, field.usable, [&](int u, int v) {
     const Slopes slopes = central_slopes(field, u, v);
     const double p = slopes.p, q = slopes.q, tan2 = p * p + q * q;
     const double radial = field.s1(u, v) * (p * p - q * q) + field.s2(u, v) * 2 * p * q;
@@ -72,13 +72,7 @@ void label_reflection(RefinementImage& image, const std::vector<RowRange>& strip
 }
 
 double specular_share(const RefinementImage& image) {
-  double specular = 0, all = 0;
-  for (std::size_t i = 0; i < image.pixels.count(); ++i) {
-    if (!image.pixels[i]) continue;
-    ++all;
-    specular += image.kind[i] == Reflection::specular;
-  }
-  return specular / all;
+  return mean_over(image.pixels, [&](int u, int v) { return image.kind(u, v) == Reflection::specular; });
 }
 
 }  // namespace malus

@@ -26,6 +26,9 @@ struct EnvironmentProfile {
   struct Position {
     int node = 0;
     double share = 0;
+
+    /// The value there, linear between the nodes'.
+    double between(const double* values) const { return (1 - share) * values[node] + share * values[node + 1]; }
   };
   static Position position(double zenith_rad);
   double value(double zenith_rad) const;

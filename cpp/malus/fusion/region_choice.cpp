@@ -79,9 +79,10 @@ void move_region(const PixelSet& region, const Image<double>& difference, const 
   for (const std::size_t pixel : region) depth_in_region[pixel] = 0;
 }
 
-}  // namespace
-
-Image<float> pixel_costs(const RefinementField& field, const WeightOptions& options, const Context& context) {
+/// Robust cost of each object pixel at the current surface, whose weights it computes: its Stokes residual (s1, s2) and
+/// its share of its prior block's residual; 0 elsewhere.
+Image<float> pixel_costs(RefinementField& field, const WeightOptions& options, const Context& context) {
+  update_weights(field, options, context);
   Image<float> costs(field.size());
   parallel_pixels(context, field.object, [&](int u, int v) {
     costs(u, v) = static_cast<float>(cauchy(squared_residual(field, u, v), field.robust_scale_at(u, v)));
@@ -90,13 +91,13 @@ Image<float> pixel_costs(const RefinementField& field, const WeightOptions& opti
   return costs;
 }
 
+}  // namespace
+
 RegionChoice take_cheaper_regions(RefinementField& field, const Image<double>& candidate, const WeightOptions& options,
                                   const Context& context) {
   const Image<double> incumbent = field.x;
-  update_weights(field, options, context);
   const Image<float> cost = pixel_costs(field, options, context);
   field.x = candidate;
-  update_weights(field, options, context);
   const Image<float> candidate_cost = pixel_costs(field, options, context);
   field.x = incumbent;
 

@@ -6,10 +6,6 @@
 
 namespace malus {
 
-/// Robust cost of each object pixel at the current surface and weights: its Stokes residual (s1, s2) and its share of
-/// its prior block's residual; 0 elsewhere.
-Image<float> pixel_costs(const RefinementField& field, const WeightOptions& options, const Context& context);
-
 struct RegionChoice {
   int regions = 0;  ///< regions where both surfaces differ in detail
   int taken = 0;    ///< those in which the candidate is cheaper

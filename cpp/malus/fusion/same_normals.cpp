@@ -9,16 +9,6 @@
 #include "malus/fusion/surroundings_internal.h"
 
 namespace malus {
-namespace {
-
-/// Robust standard deviation of positions along one axis of the image.
-double spread(std::vector<double> places) {
-  const double middle = median(places);
-  for (double& place : places) place = std::abs(place - middle);
-  return robust_spread(places);
-}
-
-}  // namespace
 
 double distance_of_same_normals(const RefinementImage& image) {
   struct Places {
@@ -39,7 +29,8 @@ double distance_of_same_normals(const RefinementImage& image) {
   for (const Places& places : cells) {
     if (places.u.empty()) continue;
     const auto pixels = static_cast<double>(places.u.size());
-    sum += pixels * std::hypot(spread(places.u), spread(places.v));
+    sum += pixels *
+           std::hypot(robust_spread_about(median(places.u), places.u), robust_spread_about(median(places.v), places.v));
     count += pixels;
   }
   constexpr double least_px = 1;  // if no two pixels share a normal, the spread is 0, which would mean no limit

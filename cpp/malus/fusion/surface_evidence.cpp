@@ -34,7 +34,6 @@ void ExplainedPolarization::add(const RefinementField& part, RowRange rows, int 
   const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
     Cell& cell = cells_(column, row);
     for_each_pixel(pixels, part.usable, [&](int u, int v) {
-      if (!part.object(u, v)) return;
       const Slopes slopes = central_slopes(part, u, v);
       const RayFrame frame = part.frame_at(u, v);
       const PixelReflection reflection = part.reflection_at(u, v, frame);
@@ -74,7 +73,6 @@ void ExplainedByResult::add(const RefinementField& part, RowRange rows, int firs
   const auto add_cell = [&](int column, int row, const PixelRect& pixels) {
     std::vector<double> rests, all;
     for_each_pixel(pixels, part.usable, [&](int u, int v) {
-      if (!part.object(u, v)) return;
       const Slopes slopes = central_slopes(part, u, v);
       const PredictedStokes model = part.reflection_at(u, v).predict(slopes.p, slopes.q);
       rests.push_back(std::hypot(part.s1(u, v) - model.s1, part.s2(u, v) - model.s2));

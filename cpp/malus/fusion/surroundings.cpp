@@ -109,7 +109,7 @@ MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, std::co
       // Outside the disc the values only keep the spline smooth inside.
       constexpr double horizon = 0.97;
       const double to_slope = 2 / (1 - std::min(a * a + b * b, horizon));
-      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.roughness, index, response);
+      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.finishes.usual, index, response);
       const Eigen::Vector3f sum = response * radiance;
       tables_[static_cast<std::size_t>(ray)](column, row) = {{sum[0], sum[1], sum[2]}};
     }

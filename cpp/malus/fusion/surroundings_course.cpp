@@ -21,7 +21,7 @@ std::shared_ptr<const MirroredLightTable> tabulated(const Surroundings& surround
                                                     const RefinementImage& image, const MapCourse& course,
                                                     const Context& context) {
   Surroundings seen = surroundings;
-  seen.roughness = roughness;
+  seen.finishes.usual = roughness;
   return std::make_shared<MirroredLightTable>(seen, course.material.index, image.camera, context);
 }
 
@@ -75,15 +75,15 @@ void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, Refin
     report.metal_index = material.index;
   }
   const Surroundings& found = report.surroundings;
-  image.reflection.mirrored = tabulated(found, found.roughness, image, course, context);
-  image.reflection.mirrored_by_other =
-      found.other_roughness > 0 ? tabulated(found, found.other_roughness, image, course, context) : nullptr;
-  report.other_finish_share = found.other_roughness > 0 ? share_within(image.other_finish, image.usable) : 0;
+  const auto& [usual, other] = found.finishes;
+  image.reflection.mirrored = tabulated(found, usual, image, course, context);
+  image.reflection.mirrored_by_other = other > 0 ? tabulated(found, other, image, course, context) : nullptr;
+  report.other_finish_share = other > 0 ? share_within(image.other_finish, image.usable) : 0;
 }
 
 SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context) {
   constexpr int rounds_between = 3;
-  const Finishes known{report.surroundings.roughness, report.surroundings.other_roughness};
+  const Finishes known = report.surroundings.finishes;
   std::vector<Finishes> tried;
   if (report.surroundings.radiance.empty()) {
     for (const double roughness : any_roughness) tried.push_back({roughness});
@@ -95,7 +95,7 @@ SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCo
                                                tried, report.surroundings.radiance, context);
   if (tried.size() == 1) {
     --course.rounds_to_keep;
-  } else if (fit.surroundings.roughness == known.usual && fit.surroundings.other_roughness == known.other) {
+  } else if (fit.surroundings.finishes == known) {
     course.rounds_to_keep = rounds_between;
   }
   take_surroundings(fit, image, report, course, context);
@@ -125,16 +125,15 @@ void find_other_finish(const SurroundingsFit& one, RefinementImage& image, Refin
   constexpr double least_ratio = 1.9, worthwhile = 0.05;
   constexpr int more_rounds = 2;
   const Surroundings& alone = one.surroundings;
+  const double usual = alone.finishes.usual;
   std::optional<SurroundingsFit> both;
   for (const double other : any_roughness) {
-    if (std::max(other / alone.roughness, alone.roughness / other) < least_ratio) continue;
-    const auto fit = fit_both(alone, {{alone.roughness, other}}, image, course, context);
+    if (std::max(other / usual, usual / other) < least_ratio) continue;
+    const auto fit = fit_both(alone, {{usual, other}}, image, course, context);
     if (fit && (!both || fit->cost < both->cost)) both = fit;
   }
-  for (int i = 0; i < more_rounds && both; ++i) {
-    const Surroundings& found = both->surroundings;
-    both = fit_both(found, finishes_near({found.roughness, found.other_roughness}), image, course, context);
-  }
+  for (int i = 0; i < more_rounds && both; ++i)
+    both = fit_both(both->surroundings, finishes_near(both->surroundings.finishes), image, course, context);
   const bool better = both && both->cost < one.cost - worthwhile;
   if (!better) image.other_finish = {};
   take_surroundings(better ? *both : one, image, report, course, context);

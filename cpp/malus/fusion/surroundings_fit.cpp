@@ -115,8 +115,7 @@ SurroundingsFit fit(const std::vector<ReflectionSample>& samples, const Cells& c
   constexpr float ridge = 1e-4F, smoothness = 1e-3F;
   constexpr int rounds = 4, rounds_from_start = 1;
   SurroundingsFit result;
-  result.surroundings.roughness = finishes.usual;
-  result.surroundings.other_roughness = finishes.other;
+  result.surroundings.finishes = finishes;
   result.surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   if (samples.empty()) return result;  // all slopes are too steep
   const LinearSystem system = linearize(samples, cells, finishes, material);

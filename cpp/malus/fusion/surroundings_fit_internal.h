@@ -25,11 +25,6 @@ struct MirrorMaterial {
   bool is_metal() const { return index.imag() > 0; }
 };
 
-/// Roughness of the facets of most pixels, and of pixels with another finish, such as bare clay beside glaze; 0 = none.
-struct Finishes {
-  double usual = 0.1, other = 0;
-};
-
 /// Fits the radiance of all cells for each of the `tried` finishes and returns the fit of lowest cost. With the body
 /// light substituted from the measured s0, d = s0 − m0, the Stokes residual is linear in the radiances: robust
 /// non-negative least squares. A metal has no body light: there the measured s0 is a third equation, s0 = m0. `start`:

@@ -11,6 +11,13 @@
 
 namespace malus {
 
+/// Roughness (alpha of the facets' slopes) of most pixels, and of pixels with another finish, such as bare clay beside
+/// glaze; 0 = none.
+struct Finishes {
+  double usual = 0.1, other = 0;
+  bool operator==(const Finishes&) const = default;
+};
+
 /// Light that the surface mirrors: radiance of the surroundings by direction, reflected by microfacets.
 ///
 /// The directions are those of the half vectors of light and optical axis, on square cells of the unit disc: equal
@@ -19,8 +26,7 @@ namespace malus {
 /// polarized by Fresnel's equations about the half vector.
 struct Surroundings {
   static constexpr int cells = 20;  ///< along the disc's diameter
-  double roughness = 0.1;           ///< alpha of the facets' slopes
-  double other_roughness = 0;       ///< of pixels with another finish; 0 = no other finish
+  Finishes finishes;                ///< of the surface that mirrors it
   Image<float> radiance;            ///< cells × cells, not negative, in units of s0; 0 outside the disc
 
   /// Half vectors of the cells inside the disc (x to the right, y upwards), and their position in `radiance`.

@@ -156,8 +156,7 @@ struct PriorCheck {
     const auto pixels_of = [](const std::vector<Eigen::Vector3d>& points, int every) {
       return static_cast<double>(points.size()) * every * every;
     };
-    const int of_image = static_cast<int>(std::sqrt(static_cast<double>(depth.count()) / most_points)) + 1;
-    int stride = stride_on(object, of_image, fewest_points);
+    int stride = stride_on(object, depth.size(), most_points, fewest_points);
     std::vector<Eigen::Vector3d> found = found_at(stride);
     // A small part of a large object may lie between the samples.
     if (stride > 1 && pixels_of(found, stride) < options.min_points) {

@@ -30,8 +30,8 @@ Json refine_report_json(const RefineReport& report) {
     Json rows = Json::array();
     for (int row = 0; row < radiance.height(); ++row)
       rows.push_back(std::vector<float>(radiance.row(row), radiance.row(row) + radiance.width()));
-    surroundings = {{"roughness", report.surroundings.roughness},
-                    {"other_roughness", report.surroundings.other_roughness},
+    surroundings = {{"roughness", report.surroundings.finishes.usual},
+                    {"other_roughness", report.surroundings.finishes.other},
                     {"other_finish_share", report.other_finish_share},
                     {"self_mirroring_share", report.self_mirroring_share},
                     {"radiance", rows}};

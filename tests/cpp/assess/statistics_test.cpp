@@ -6,6 +6,7 @@
 #include <random>
 
 #include "malus/assess/statistics_internal.h"
+#include "malus/core/median_internal.h"
 
 namespace malus {
 namespace {
@@ -80,6 +81,9 @@ TEST(Statistics, BinCountAndRangeCanBeGiven) {
 }
 
 TEST(Statistics, PercentilesInterpolate) {
+  const auto percentile = [](std::vector<double> values, double fraction) {
+    return percentile_in_place(values, fraction);
+  };
   EXPECT_DOUBLE_EQ(percentile({4, 1, 3, 2}, 0.5), 2.5);
   EXPECT_DOUBLE_EQ(percentile({4, 1, 3, 2}, 0), 1);
   EXPECT_DOUBLE_EQ(percentile({4, 1, 3, 2}, 1), 4);

@@ -7,15 +7,16 @@ namespace {
 
 TEST(EvenChoice, OnlyASmallObjectGetsASmallerStride) {
   constexpr int of_image = 5;
-  constexpr double fewest = 100;
-  EXPECT_EQ(stride_on({}, of_image, fewest), of_image);
-  Mask object({200, 100});
-  EXPECT_EQ(stride_on(object, of_image, fewest), 1);
+  constexpr Size image{200, 100};
+  const auto stride = [&](const Mask& object) { return stride_on(object, image, 1000, 100); };
+  EXPECT_EQ(stride({}), of_image);
+  Mask object(image);
+  EXPECT_EQ(stride(object), 1);
   for (int v = 0; v < 40; ++v)
     for (int u = 0; u < 40; ++u) object(u, v) = 255;
-  EXPECT_EQ(stride_on(object, of_image, fewest), 4);
+  EXPECT_EQ(stride(object), 4);
   object.fill(255);
-  EXPECT_EQ(stride_on(object, of_image, fewest), of_image);
+  EXPECT_EQ(stride(object), of_image);
 }
 
 }  // namespace

@@ -19,7 +19,7 @@ constexpr Size bowl_size{160, 128};
 /// Bright windows to the upper right and to the left; weak light from everywhere else.
 Surroundings room(double roughness) {
   Surroundings room;
-  room.roughness = roughness;
+  room.finishes.usual = roughness;
   room.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (const Surroundings::Cell& cell : Surroundings::all_cells()) {
     const bool window = std::hypot(cell.hx - 0.35, cell.hy - 0.25) < 0.15 || std::hypot(cell.hx + 0.3, cell.hy) < 0.2;
@@ -72,8 +72,8 @@ RefineReport report_of_bowl(bool two_finishes) {
 TEST(Finishes, AGlazedAndABarePartAreTwoFinishes) {
   const RefineReport report = report_of_bowl(true);
   ASSERT_TRUE(report.reflection.mirrored) << "a map of the surroundings must be fitted";
-  EXPECT_LT(report.surroundings.roughness, 0.12);
-  EXPECT_GT(report.surroundings.other_roughness, 0.25);
+  EXPECT_LT(report.surroundings.finishes.usual, 0.12);
+  EXPECT_GT(report.surroundings.finishes.other, 0.25);
   EXPECT_GT(report.other_finish_share, 0.1);
   EXPECT_LT(report.other_finish_share, 0.4);
 }
@@ -81,7 +81,7 @@ TEST(Finishes, AGlazedAndABarePartAreTwoFinishes) {
 TEST(Finishes, AFullyGlazedBodyHasOneFinish) {
   const RefineReport report = report_of_bowl(false);
   ASSERT_TRUE(report.reflection.mirrored) << "a map of the surroundings must be fitted";
-  EXPECT_EQ(report.surroundings.other_roughness, 0);
+  EXPECT_EQ(report.surroundings.finishes.other, 0);
   EXPECT_EQ(report.other_finish_share, 0);
 }
 

@@ -90,7 +90,7 @@ TEST(GainByScale, AnOvershootIsScaledBack) {
 
 TEST(GainByScale, TextureInAMetalsBrightnessIsNoGain) {
   Surroundings window;
-  window.roughness = 0.3;
+  window.finishes.usual = 0.3;
   window.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (const Surroundings::Cell& cell : Surroundings::all_cells())
     window.radiance(cell.column, cell.row) = cell.hx > 0 ? 1.0F : 0.1F;

@@ -123,7 +123,7 @@ TEST_P(QuadCosts, StokesDerivativesMatchNumericOnes) {
 
 TEST(QuadCosts, StokesDerivativesOfAMetalMatchNumericOnes) {
   Surroundings surroundings;
-  surroundings.roughness = 0.3;
+  surroundings.finishes.usual = 0.3;
   surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (const Surroundings::Cell& cell : Surroundings::all_cells())
     surroundings.radiance(cell.column, cell.row) = static_cast<float>(1 + cell.hx);

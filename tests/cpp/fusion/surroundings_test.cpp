@@ -23,7 +23,7 @@ const Pinhole camera{{600, 400}, 1500, 1500, 299.5, 199.5};
 
 Surroundings uniform(double radiance, double roughness) {
   Surroundings surroundings;
-  surroundings.roughness = roughness;
+  surroundings.finishes.usual = roughness;
   surroundings.radiance = Image<float>({Surroundings::cells, Surroundings::cells});
   for (const Surroundings::Cell& cell : Surroundings::all_cells())
     surroundings.radiance(cell.column, cell.row) = static_cast<float>(radiance);
@@ -127,7 +127,7 @@ TEST(Surroundings, AreEstimatedFromTheirMirrorImage) {
   const std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const std::array<Finishes, 4> tried{{{0.05}, {0.1}, {0.2}, {0.4}}};
   const SurroundingsFit fit = fit_surroundings(samples, {1.5}, tried, {}, Context{});
-  EXPECT_EQ(fit.surroundings.roughness, 0.2);
+  EXPECT_EQ(fit.surroundings.finishes.usual, 0.2);
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
   double error = 0, size = 0;
   for (const ReflectionSample& s : samples) {

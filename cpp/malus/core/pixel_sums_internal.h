@@ -1,7 +1,5 @@
 #pragma once
 
-// Private to the assess room: sums over the pixels of rasters.
-
 #include <array>
 #include <cstddef>
 #include <limits>
