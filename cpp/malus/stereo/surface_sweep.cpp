@@ -93,9 +93,7 @@ float typical(std::size_t pixels, Value&& value) {
 Image<float> coded(const Image<float>& intensity, double gamma, const Context& context) {
   Image<float> result(intensity.size());
   const auto exponent = static_cast<float>(1 / gamma);
-  parallel_rows(context, intensity.height(), [&](int v) {
-    for (int u = 0; u < intensity.width(); ++u) result(u, v) = std::pow(std::max(intensity(u, v), 0.0F), exponent);
-  });
+  for_each_pixel(result, context, [&](std::size_t i) { result[i] = std::pow(std::max(intensity[i], 0.0F), exponent); });
   return result;
 }
 
@@ -292,22 +290,21 @@ class SurfaceSweep {
     settings.large_step = static_cast<float>(options_.large_step * fineness);
     settings.match = match_settings();
 
-    deviation_ = median_filtered(deviation_, 1, context_);
+    deviation_ = median_filtered(deviation_, context_);
     deviation_ =
         smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
     fill_gaps(deviation_, level_.mask, context_);
     const Image<float> before = sum(shape_, deviation_, context_);
     pass_ = run_pass(level_, before, settings, context_);
-    SweepPassReport report;
     const double gsd = 1 / input_.camera.focal();
-    report.reduction = level_.reduction;
-    report.offsets = 2 * step.half_count + 1;
-    report.step_gsd = settings.step / gsd;
-    report.score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; });
-    report.change_gsd =
-        typical(before.count(), [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); }) / gsd;
-    report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    result_.passes.push_back(report);
+    const auto change = [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); };
+    result_.passes.push_back(
+        {.reduction = level_.reduction,
+         .offsets = 2 * step.half_count + 1,
+         .step_gsd = settings.step / gsd,
+         .score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; }),
+         .change_gsd = typical(before.count(), change) / gsd,
+         .seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()});
     if (level_.reduction == 1) {
       wide_difference_px_ = std::move(difference_px_);
       difference_px_ = std::move(pass_.difference);
