@@ -40,7 +40,8 @@ class TiledAxis {
 class TiledImage {
  public:
   TiledImage(Size image, int tile_px, int margin)
-      : columns_(axis(image.width, tile_px, margin)), rows_(axis(image.height, tile_px, margin)) {}
+      : TiledImage(axis(image.width, tile_px, margin), axis(image.height, tile_px, margin)) {}
+  TiledImage(const TiledAxis& columns, const TiledAxis& rows) : columns_(columns), rows_(rows) {}
 
   int tiles() const { return columns_.tiles() * rows_.tiles(); }
   PixelRect box(int tile) const {
