@@ -52,10 +52,12 @@ struct PixelWeight {
   Eigen::MatrixXd complement;  ///< (K − 3) × K orthonormal rows; empty = weights from noise alone
   double scale2 = 1;           ///< typical squared residual
 
+  double squared_residual(const Eigen::VectorXd& values, double variance) const {
+    return (complement * values).squaredNorm() / static_cast<double>(complement.rows()) / variance;
+  }
   double operator()(const Eigen::VectorXd& values, double variance) const {
     if (complement.rows() == 0) return 1 / variance;
-    const double squared = (complement * values).squaredNorm() / static_cast<double>(complement.rows()) / variance;
-    return 1 / variance / (1 + squared / (cauchy_scale * cauchy_scale * scale2));
+    return 1 / variance / (1 + squared_residual(values, variance) / (cauchy_scale * cauchy_scale * scale2));
   }
 };
 
@@ -175,8 +177,7 @@ double typical_residual(const Cells& cells, const PixelWeight& weight) {
     for (std::size_t i = 0; i < part.cells.size(); ++i) {
       const Cells::Cell& cell = part.cells[i];
       if (cell.column % stride != 0 || cell.row % stride != 0) continue;
-      residuals.push_back((weight.complement * cells.means(part, i)).squaredNorm() /
-                          static_cast<double>(weight.complement.rows()) / cell.variance);
+      residuals.push_back(weight.squared_residual(cells.means(part, i), cell.variance));
     }
   }
   if (residuals.empty()) return 1;
@@ -319,13 +320,13 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
   Eigen::Matrix3d rows_from_space;
   rows_from_space << solver.eigenvectors().col(2) * std::sqrt(values[2]),
       solver.eigenvectors().col(0) * std::sqrt(-values[0]), solver.eigenvectors().col(1) * std::sqrt(-values[1]);
-  const Eigen::MatrixX3d rows = space * rows_from_space;
+  Eigen::MatrixX3d rows = space * rows_from_space;
+  if (rows.col(0).mean() < 0) rows = -rows;
   Polarizer start{Eigen::VectorXd(2 * rows.rows())};
   for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    const double sign = rows.col(0).mean() < 0 ? -1 : 1;
-    if (!(sign * rows(k, 0) > 0)) return {};
-    start.values[k] = 0.5 * std::atan2(sign * rows(k, 2), sign * rows(k, 1));
-    start.values[rows.rows() + k] = std::log(sign * rows(k, 0));
+    if (!(rows(k, 0) > 0)) return {};
+    start.values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
+    start.values[rows.rows() + k] = std::log(rows(k, 0));
   }
   start.values.tail(rows.rows()).array() -= start.values.tail(rows.rows()).mean();
   return {start};
@@ -348,11 +349,11 @@ std::vector<Polarizer> starts(const Nominal& nominal, bool free_angles, const Ei
   return result;
 }
 
-Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments, double inflation) {
+Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments) {
   Polarizer best;
   double lowest = std::numeric_limits<double>::infinity();
   for (Polarizer& candidate : starts(nominal, free_angles, moments)) {
-    const double cost = minimize(candidate, moments, inflation, nominal);
+    const double cost = minimize(candidate, moments, 1, nominal);
     if (cost < lowest) {
       lowest = cost;
       best = std::move(candidate);
@@ -445,7 +446,7 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   const bool free_angles = nominal_rad.empty();
   const auto count = static_cast<Eigen::Index>(images.size());
   const Cells cells(images, noise, mask, saturated, context);
-  Nominal nominal = nominal_values(nominal_rad, count, options);
+  const Nominal nominal = nominal_values(nominal_rad, count, options);
 
   PixelWeight weight;
   Moments moments = second_moments(cells, weight, context);
@@ -454,7 +455,7 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
         "fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
         "their polarizer angles cannot be calibrated");
   }
-  Polarizer polarizer = search(nominal, free_angles, moments.total(), 1);
+  Polarizer polarizer = search(nominal, free_angles, moments.total());
   double inflation = 1;
   for (int pass = 0; pass < robust_passes && count > 3; ++pass) {
     context.progress("polarization", 0, "polarizer angles");
