@@ -72,22 +72,16 @@ class Windows {
   /// −2 × restricted log likelihood, up to a constant.
   double criterion(const SmoothingStrength& strength, const Context& context) {
     solve(strength, context);
-    struct Terms {
-      double weight = 0, residual = 0, determinant = 0;
-      Terms& operator+=(const Terms& other) {
-        weight += other.weight, residual += other.residual, determinant += other.determinant;
-        return *this;
-      }
-    };
-    const Terms sum = parallel_sum(context, splines_.size(), 1, Terms{}, [&](std::size_t i, std::size_t) {
+    using Terms = Eigen::Vector3d;  // weight, residual, determinant
+    const Terms sum = parallel_sum(context, splines_.size(), 1, Terms(0, 0, 0), [&](std::size_t i, std::size_t) {
       const SmoothingSpline& spline = *splines_[i];
       const double slopes = 2 * spline.slope_weight_sum();
       double determinant =
           spline.log_determinant() - 2 * std::log(strength.lambda) * (static_cast<double>(spline.unknowns()) - 3);
       if (slopes > 0) determinant -= 2 * std::log(strength.kappa) * slopes;
-      return Terms{spline.weight_sum() + slopes - 3, spline.penalized_residual(), determinant};
+      return Terms(spline.weight_sum() + slopes - 3, spline.penalized_residual(), determinant);
     });
-    return sum.weight * std::log(std::max(sum.residual, 1e-30)) + sum.determinant;
+    return sum[0] * std::log(std::max(sum[1], 1e-30)) + sum[2];
   }
 
  private:

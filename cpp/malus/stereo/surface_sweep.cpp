@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
+#include <span>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -100,15 +100,7 @@ Image<float> coded(const Image<float>& intensity, double gamma, const Context& c
 /// ln of a depth map; NaN where it has no depth.
 Image<float> log_of(const Image<float>& depth, const Context& context) {
   Image<float> result = Image<float>::uninitialized(depth.size(), 1);
-  for_each_pixel(depth, context, [&](std::size_t i) {
-    result[i] = depth[i] > 0 ? std::log(depth[i]) : std::numeric_limits<float>::quiet_NaN();
-  });
-  return result;
-}
-
-Image<float> sum(const Image<float>& a, const Image<float>& b, const Context& context) {
-  Image<float> result = Image<float>::uninitialized(a.size(), 1);
-  for_each_pixel(a, context, [&](std::size_t i) { result[i] = a[i] + b[i]; });
+  for_each_pixel(depth, context, [&](std::size_t i) { result[i] = depth[i] > 0 ? std::log(depth[i]) : no_value; });
   return result;
 }
 
@@ -187,11 +179,8 @@ class SurfaceSweep {
       } else {
         start();
       }
-      if (k > 0) {
-        for (const Sweep& step : coarse_sweeps) sweep(step);
-      } else {
-        for (const Sweep& step : finest_sweeps) sweep(step);
-      }
+      const std::span<const Sweep> sweeps = k > 0 ? std::span<const Sweep>(coarse_sweeps) : finest_sweeps;
+      for (const Sweep& step : sweeps) sweep(step);
     }
     finish();
     return std::move(result_);
@@ -239,23 +228,19 @@ class SurfaceSweep {
   }
 
   void start_from_surface() {
-    deviation_ = Image<float>(level_.mask.size(), 1, 0.0F);
-    for (std::size_t i = 0; i < deviation_.count(); ++i) {
-      if (level_.mask[i] == 0) deviation_[i] = std::numeric_limits<float>::quiet_NaN();
-    }
+    deviation_ = Image<float>(level_.mask.size(), 1, no_value);
+    malus::for_each_pixel(level_.mask, [&](int u, int v) { deviation_(u, v) = 0; });
     result_.points_total = static_cast<double>(input_.points.size());
     photos_.choose(level_, shape_);
     prepare_photos();
   }
 
   MatchSettings match_settings() const {
-    MatchSettings settings;
-    settings.radius = is_known() ? options_.known_window_radius : options_.window_radius;
-    settings.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
-    settings.max_views = options_.max_views;
-    settings.noise_variance = static_cast<float>(options_.noise * options_.noise);
-    settings.compare_halves = level_.reduction == 1 && level_.views.size() >= 3;
-    return settings;
+    return {.radius = is_known() ? options_.known_window_radius : options_.window_radius,
+            .best = std::min(options_.best_views, static_cast<int>(level_.views.size())),
+            .max_views = options_.max_views,
+            .noise_variance = static_cast<float>(options_.noise * options_.noise),
+            .compare_halves = level_.reduction == 1 && level_.views.size() >= 3};
   }
 
   /// Coarsest level: a surface through the triangulated points, then a sweep over that surface's range.
@@ -281,20 +266,20 @@ class SurfaceSweep {
 
   void sweep(const Sweep& step) {
     const auto start = std::chrono::steady_clock::now();
-    PassSettings settings;
-    settings.half_count = step.half_count;
-    settings.step = static_cast<float>(step.step_px / rate_);
     // Penalties refer to a change of the surface, so they are smaller for finer offsets.
     const double fineness = step.step_px / penalty_step_px;
-    settings.small_step = static_cast<float>(options_.small_step * fineness);
-    settings.large_step = static_cast<float>(options_.large_step * fineness);
-    settings.match = match_settings();
+    const PassSettings settings{.half_count = step.half_count,
+                                .step = static_cast<float>(step.step_px / rate_),
+                                .small_step = static_cast<float>(options_.small_step * fineness),
+                                .large_step = static_cast<float>(options_.large_step * fineness),
+                                .match = match_settings()};
 
     deviation_ = median_filtered(deviation_, context_);
     deviation_ =
         smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
     fill_gaps(deviation_, level_.mask, context_);
-    const Image<float> before = sum(shape_, deviation_, context_);
+    Image<float> before = shape_;
+    for_each_pixel(before, context_, [&](std::size_t i) { before[i] += deviation_[i]; });
     pass_ = run_pass(level_, before, settings, context_);
     const double gsd = 1 / input_.camera.focal();
     const auto change = [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); };
@@ -351,7 +336,7 @@ class SurfaceSweep {
     for (std::size_t i = 0; i < shines.count(); ++i) {
       if (level_.mask[i] == 0 || shines[i] == 0) continue;
       ++count;
-      pass_.log_depth[i] = std::numeric_limits<float>::quiet_NaN();
+      pass_.log_depth[i] = no_value;
     }
     result_.highlights = count / static_cast<double>(count_of_set(level_.mask));
     return count > 0;
