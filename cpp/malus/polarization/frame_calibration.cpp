@@ -72,6 +72,7 @@ Eigen::Matrix3d frame_by_nominal(const PolarizerFit& fit, const Eigen::MatrixX3d
 }
 
 void set_values(PolarizerCalibration& calibration, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
+  calibration.angles_deg = calibration.angles_sigma_deg = calibration.gains = calibration.gains_sigma = {};
   const Eigen::Index count = values.size() / 2;
   for (Eigen::Index k = 0; k < count; ++k) {
     double angle_deg = to_degrees(values[k]);
@@ -202,10 +203,6 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
 
   calibration.from_surface = true;
   result.frame = frame_of(values) * mirror;
-  calibration.angles_deg.clear();
-  calibration.angles_sigma_deg.clear();
-  calibration.gains.clear();
-  calibration.gains_sigma.clear();
   // `mirror` only changes the signs of the angles' correlations with exposures, which do not affect standard
   // deviations.
   set_values(calibration, in_frame(fit.angles_rad, fit.gains, result.frame),

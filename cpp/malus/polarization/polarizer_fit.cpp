@@ -12,6 +12,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/tiled_axis_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 
@@ -99,14 +100,12 @@ class Cells {
   std::size_t fill(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask,
                    const Mask& saturated, const Context& context) {
     size_ = {images[0].width() / side_, images[0].height() / side_};
+    const TiledImage tiles({0, 0, size_.width, size_.height}, parts_per_side, parts_per_side, 0);
     parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
-      const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
       parts_[part] = {};
-      for (int v = size_.height * row / parts_per_side; v < size_.height * (row + 1) / parts_per_side; ++v) {
-        for (int u = size_.width * column / parts_per_side; u < size_.width * (column + 1) / parts_per_side; ++u) {
-          if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
-        }
-      }
+      for_each_pixel(tiles.box(static_cast<int>(part)), [&](int u, int v) {
+        if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
+      });
     });
     std::size_t count = 0;
     for (const Part& part : parts_) count += part.cells.size();

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"
@@ -230,8 +231,8 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
   Smoothing fine = how;
   fine.tension_px = margin;
   const int side = std::max(4 * margin, static_cast<int>(how.cell_px * std::sqrt(options.max_unknowns)) - 2 * margin);
-  const TiledImage tiled(TiledAxis(box.u0, box.u1, (box.width() + side - 1) / side, margin, margin),
-                         TiledAxis(box.v0, box.v1, (box.height() + side - 1) / side, margin, margin));
+  const Size cuts = cells_over(box.size(), side);
+  const TiledImage tiled(box, cuts.width, cuts.height, margin);
   double noise2 = 0, counted = 0;
   const int tiles = tiled.tiles();
   std::vector<std::optional<SplineFit>> fits(static_cast<std::size_t>(std::max(context.threads, 1)));
