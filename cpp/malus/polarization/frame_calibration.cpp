@@ -20,14 +20,7 @@ constexpr double small_zero_error_deg = 0.5;
 Eigen::VectorXd in_frame(const std::vector<double>& angles_rad, const std::vector<double>& gains,
                          const StokesFrame& frame) {
   // I = row · s = (row · frame⁻¹) · (frame · s).
-  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad, gains) * frame.inverse();
-  Eigen::VectorXd values(2 * rows.rows());
-  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
-    values[rows.rows() + k] = std::log(2 * rows(k, 0));
-  }
-  values.tail(rows.rows()).array() -= values.tail(rows.rows()).mean();
-  return values;
+  return angles_and_gains(polarizer_rows(angles_rad, gains) * frame.inverse());
 }
 
 StokesFrame frame_of(const Eigen::Vector3d& values) {

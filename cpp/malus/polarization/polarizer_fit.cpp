@@ -321,14 +321,8 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
       solver.eigenvectors().col(0) * std::sqrt(-values[0]), solver.eigenvectors().col(1) * std::sqrt(-values[1]);
   Eigen::MatrixX3d rows = space * rows_from_space;
   if (rows.col(0).mean() < 0) rows = -rows;
-  Polarizer start{Eigen::VectorXd(2 * rows.rows())};
-  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    if (!(rows(k, 0) > 0)) return {};
-    start.values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
-    start.values[rows.rows() + k] = std::log(rows(k, 0));
-  }
-  start.values.tail(rows.rows()).array() -= start.values.tail(rows.rows()).mean();
-  return {start};
+  if (!(rows.col(0).array() > 0).all()) return {};
+  return {Polarizer{angles_and_gains(rows)}};
 }
 
 /// Starting points of the search: the nominal angles. Without these: the angles that the images' space allows, and
@@ -412,6 +406,15 @@ Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<co
     rows.row(static_cast<Eigen::Index>(k)) = gain * polarizer_row(angles_rad[k]).transpose();
   }
   return rows;
+}
+
+Eigen::VectorXd angles_and_gains(const Eigen::MatrixX3d& rows) {
+  const Eigen::Index count = rows.rows();
+  Eigen::VectorXd values(2 * count);
+  for (Eigen::Index k = 0; k < count; ++k) values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
+  values.tail(count) = rows.col(0).array().log().matrix();
+  values.tail(count).array() -= values.tail(count).mean();
+  return values;
 }
 
 Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows) {

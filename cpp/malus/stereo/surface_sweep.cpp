@@ -67,15 +67,6 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   }
 }
 
-/// Calls body(i) for every pixel, on all threads.
-template <class Body>
-void for_each_pixel(const Image<float>& image, const Context& context, Body&& body) {
-  constexpr std::size_t pixels_at_once = 65536;
-  parallel_for(context, image.count(), pixels_at_once, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) body(i);
-  });
-}
-
 /// Median of the finite value(i), from an even sample of the pixels if there are many; used for the report only.
 template <class Value>
 float typical(std::size_t pixels, Value&& value) {
@@ -93,14 +84,16 @@ float typical(std::size_t pixels, Value&& value) {
 Image<float> coded(const Image<float>& intensity, double gamma, const Context& context) {
   Image<float> result(intensity.size());
   const auto exponent = static_cast<float>(1 / gamma);
-  for_each_pixel(result, context, [&](std::size_t i) { result[i] = std::pow(std::max(intensity[i], 0.0F), exponent); });
+  parallel_pixels(context, result.size(),
+                  [&](int u, int v) { result(u, v) = std::pow(std::max(intensity(u, v), 0.0F), exponent); });
   return result;
 }
 
 /// ln of a depth map; NaN where it has no depth.
 Image<float> log_of(const Image<float>& depth, const Context& context) {
   Image<float> result = Image<float>::uninitialized(depth.size(), 1);
-  for_each_pixel(depth, context, [&](std::size_t i) { result[i] = depth[i] > 0 ? std::log(depth[i]) : no_value; });
+  parallel_pixels(context, depth.size(),
+                  [&](int u, int v) { result(u, v) = depth(u, v) > 0 ? std::log(depth(u, v)) : no_value; });
   return result;
 }
 
@@ -229,7 +222,7 @@ class SurfaceSweep {
 
   void start_from_surface() {
     deviation_ = Image<float>(level_.mask.size(), 1, no_value);
-    malus::for_each_pixel(level_.mask, [&](int u, int v) { deviation_(u, v) = 0; });
+    for_each_pixel(level_.mask, [&](int u, int v) { deviation_(u, v) = 0; });
     result_.points_total = static_cast<double>(input_.points.size());
     photos_.choose(level_, shape_);
     prepare_photos();
@@ -279,7 +272,7 @@ class SurfaceSweep {
         smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
     fill_gaps(deviation_, level_.mask, context_);
     Image<float> before = shape_;
-    for_each_pixel(before, context_, [&](std::size_t i) { before[i] += deviation_[i]; });
+    parallel_pixels(context_, before.size(), [&](int u, int v) { before(u, v) += deviation_(u, v); });
     pass_ = run_pass(level_, before, settings, context_);
     const double gsd = 1 / input_.camera.focal();
     const auto change = [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); };
@@ -293,10 +286,10 @@ class SurfaceSweep {
     if (level_.reduction == 1) {
       wide_difference_px_ = std::move(difference_px_);
       difference_px_ = std::move(pass_.difference);
-      for_each_pixel(difference_px_, context_,
-                     [&](std::size_t i) { difference_px_[i] *= static_cast<float>(step.step_px); });
+      for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
     }
-    for_each_pixel(deviation_, context_, [&](std::size_t i) { deviation_[i] = pass_.log_depth[i] - shape_[i]; });
+    parallel_pixels(context_, deviation_.size(),
+                    [&](int u, int v) { deviation_(u, v) = pass_.log_depth(u, v) - shape_(u, v); });
     context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
