@@ -22,12 +22,9 @@
 namespace malus {
 namespace {
 
-bool is_finite(const Image<float>& image) {
-  return std::all_of(image.begin(), image.end(), [](float value) { return std::isfinite(value); });
-}
-
-void require_finite(bool finite, const std::string& name) {
-  if (!finite) throw input_error(name + ": intensities must be finite numbers");
+void require_finite(const Image<float>& image, const std::string& name) {
+  if (!std::ranges::all_of(image, [](float value) { return std::isfinite(value); }))
+    throw input_error(name + ": intensities must be finite numbers");
 }
 
 void validate(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
@@ -36,7 +33,7 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (input.camera.size.area() == 0) throw input_error("surface sweep: the station's camera has no pixels");
   require_size(input.intensity, input.camera.size, "surface sweep: the station's intensity");
   require_size(input.mask, input.camera.size, "surface sweep: mask");
-  require_finite(is_finite(input.intensity), "surface sweep: the station's intensity");
+  require_finite(input.intensity, "surface sweep: the station's intensity");
   if (count_of_set(input.mask) == 0) {
     throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
   }
@@ -53,18 +50,15 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (views.empty()) {
     throw data_error("surface sweep: no photos, expected at least one whose pose is known");
   }
-  std::vector<std::uint8_t> finite(views.size());
-  parallel_for(context, views.size(), 1,
-               [&](std::size_t k, std::size_t) { finite[k] = is_finite(views[k].intensity); });
-  for (std::size_t k = 0; k < views.size(); ++k) {
+  parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
     const std::string name = "surface sweep: photo " + std::to_string(k);
     views[k].camera.validate(name);
     require_size(views[k].intensity, views[k].camera.size, name);
-    require_finite(finite[k] != 0, name);
+    require_finite(views[k].intensity, name);
     if (!views[k].pose.rotation.allFinite() || !views[k].pose.translation.allFinite()) {
       throw input_error(name + ": the pose is not finite");
     }
-  }
+  });
 }
 
 /// Median of the finite value(i), from an even sample of the pixels if there are many; used for the report only.
