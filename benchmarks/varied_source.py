@@ -27,7 +27,7 @@ NO_CHOICE = "no choice: a mark, the limit of a type, or part of a formula"
 LEFT = {
     "outside": NO_CHOICE, "infinite": NO_CHOICE, "largest_code": NO_CHOICE, "usual_index": NO_CHOICE, "weighted_gaussian_variance": DERIVED,
     "refine.cpp:half": NO_CHOICE, "delta": NO_CHOICE, "reflection_model.cpp:half": NO_CHOICE,
-    "block_size": SPEED, "batch_size": SPEED, "bands_at_once": SPEED, "grain": SPEED, "band_rows": SPEED, "points_at_once": SPEED, "batch": SPEED, "pixels_at_once": SPEED,
+    "block_size": SPEED, "batch_size": SPEED, "bands_at_once": SPEED, "grain": SPEED, "band_rows": SPEED, "points_at_once": SPEED, "batch": SPEED,
     "strip_rows": SPEED, "chunk": SPEED, "few_offsets": SPEED, "tile_side": SPEED, "tile_side_of_few": SPEED, "surface_sweep.cpp:most": NO_CHOICE,
     "neighbor_search.cpp:bins": SPEED,
     "quad_px": LAYOUT, "quad_values": LAYOUT, "prior_block_px": LAYOUT, "node_count": LAYOUT, "bins": LAYOUT, "tries": LAYOUT, "cells": LAYOUT,

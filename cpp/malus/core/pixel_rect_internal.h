@@ -34,6 +34,11 @@ struct PixelRect {
   PixelRect from(int u, int v) const { return {u0 - u, v0 - v, u1 - u, v1 - v}; }
 };
 
+/// The square of 2 reach + 1 pixels a side about a pixel, clipped to the image.
+inline PixelRect square_about(int u, int v, int reach, Size image) {
+  return PixelRect{u, v, u + 1, v + 1}.grown(reach, image);
+}
+
 /// Calls body(u, v) row by row for the pixels of a part, or for those of them that are set in a mask of the image.
 template <class Body>
 void for_each_pixel(const PixelRect& part, Body&& body) {

@@ -41,6 +41,9 @@ class TiledImage {
  public:
   TiledImage(Size image, int tile_px, int margin)
       : columns_(axis(image.width, tile_px, margin)), rows_(axis(image.height, tile_px, margin)) {}
+  /// A part of an image; weights change within the whole margin.
+  TiledImage(const PixelRect& part, int columns, int rows, int margin)
+      : columns_(part.u0, part.u1, columns, margin, margin), rows_(part.v0, part.v1, rows, margin, margin) {}
 
   int tiles() const { return columns_.tiles() * rows_.tiles(); }
   PixelRect box(int tile) const {

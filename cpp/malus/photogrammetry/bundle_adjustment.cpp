@@ -148,12 +148,6 @@ void check(const Bundle& bundle) {
   }
 }
 
-Eigen::Vector2d residual_px(const Bundle& bundle, const BundleObservation& observation) {
-  const BundleView& view = bundle.views[observation.view];
-  return bundle.lenses[view.lens].camera.project(view.pose.cam_from_world(bundle.points[observation.point])) -
-         observation.pixel;
-}
-
 double rms_px(const Bundle& bundle) {
   double squares = 0;
   for (const BundleObservation& observation : bundle.observations)
@@ -218,17 +212,22 @@ void find_lens_sigmas(ceres::Problem& problem, Bundle& bundle, double factor, in
   if (!covariance.Compute(blocks, &problem)) return;
   for (BundleLens& lens : bundle.lenses) {
     if (lens.freedom == LensFreedom::fixed) continue;
-    const std::size_t count = lens.camera.params.size();
-    std::vector<double> square(count * count);
+    const auto count = static_cast<Eigen::Index>(lens.camera.params.size());
+    Eigen::MatrixXd square(count, count);
     const double* values = lens.camera.params.data();
     if (!covariance.GetCovarianceBlock(values, values, square.data())) return;
-    lens.sigma.clear();
-    for (std::size_t k = 0; k < count; ++k)
-      lens.sigma.push_back(factor * std::sqrt(std::max(square[k * count + k], 0.0)));
+    const Eigen::VectorXd sigma = factor * square.diagonal().cwiseMax(0.0).cwiseSqrt();
+    lens.sigma.assign(sigma.begin(), sigma.end());
   }
 }
 
 }  // namespace
+
+Eigen::Vector2d residual_px(const Bundle& bundle, const BundleObservation& observation) {
+  const BundleView& view = bundle.views[observation.view];
+  return bundle.lenses[view.lens].camera.project(view.pose.cam_from_world(bundle.points[observation.point])) -
+         observation.pixel;
+}
 
 BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   check(bundle);

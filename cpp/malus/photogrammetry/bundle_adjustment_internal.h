@@ -42,6 +42,9 @@ struct Bundle {
   std::vector<BundleObservation> observations;
 };
 
+/// Image of an observation's point minus the observed pixel.
+Eigen::Vector2d residual_px(const Bundle& bundle, const BundleObservation& observation);
+
 struct BundleReport {
   AdjustmentStatus status = AdjustmentStatus::not_run;
   int iterations = 0;

@@ -20,13 +20,11 @@ struct Pairs {
 };
 
 Pairs without(const Pairs& pairs, Eigen::Index left_out) {
-  Pairs others{Points(3, pairs.model.cols() - 1), Points(3, pairs.model.cols() - 1)};
-  for (Eigen::Index i = 0, k = 0; i < pairs.model.cols(); ++i) {
-    if (i == left_out) continue;
-    others.model.col(k) = pairs.model.col(i);
-    others.known.col(k++) = pairs.known.col(i);
+  std::vector<Eigen::Index> kept;
+  for (Eigen::Index i = 0; i < pairs.model.cols(); ++i) {
+    if (i != left_out) kept.push_back(i);
   }
-  return others;
+  return {pairs.model(Eigen::all, kept), pairs.known(Eigen::all, kept)};
 }
 
 bool on_one_line(const Points& points) {

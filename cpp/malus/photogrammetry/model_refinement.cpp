@@ -61,16 +61,13 @@ Arrays arrays_of(const ColmapModel& model, std::map<std::string, Image<float>> p
   return arrays;
 }
 
-Eigen::Vector2d residual_px(const SweepView& view, const Eigen::Vector3d& point, const Eigen::Vector2d& pixel) {
-  return view.camera.project(view.pose.cam_from_world(point)) - pixel;
-}
-
 /// Robust standard deviation of a keypoint's coordinate.
 double keypoint_sigma(const Arrays& arrays, const std::vector<Eigen::Vector3d>& positions) {
   std::vector<double> sizes;
   for (std::size_t k = 0; k < positions.size(); ++k) {
     for (const TieObservation& seen : arrays.keypoints[k]) {
-      const Eigen::Vector2d residual = residual_px(arrays.views[seen.view], positions[k], seen.pixel);
+      const SweepView& view = arrays.views[seen.view];
+      const Eigen::Vector2d residual = view.camera.project(view.pose.cam_from_world(positions[k])) - seen.pixel;
       sizes.push_back(std::abs(residual.x()));
       sizes.push_back(std::abs(residual.y()));
     }
@@ -100,11 +97,8 @@ Eigen::Vector3d plane_normal(const std::vector<Eigen::Vector3d>& positions, cons
 std::vector<Eigen::Vector3d> plane_normals(const std::vector<Eigen::Vector3d>& positions) {
   const int count = std::min(neighbors, static_cast<int>(positions.size()));
   cv::Mat points(static_cast<int>(positions.size()), 3, CV_32F);
-  for (int k = 0; k < points.rows; ++k) {
-    for (int axis = 0; axis < 3; ++axis) {
-      points.at<float>(k, axis) = static_cast<float>(positions[static_cast<std::size_t>(k)][axis]);
-    }
-  }
+  for (int k = 0; k < points.rows; ++k)
+    Eigen::Map<Eigen::Vector3f>(points.ptr<float>(k)) = positions[static_cast<std::size_t>(k)].cast<float>();
   // A single exact tree: several randomized trees would make the result depend on chance.
   cv::flann::GenericIndex<cvflann::L2<float>> tree(points, cvflann::KDTreeSingleIndexParams());
   cv::Mat nearest(points.rows, count, CV_32S), squares(points.rows, count, CV_32F);
@@ -124,7 +118,7 @@ std::vector<std::size_t> points_to_match(const Arrays& arrays, int most) {
   std::vector<int> taken(arrays.views.size());
   for (const std::size_t point : order) {
     const auto& seen = arrays.keypoints[point];
-    if (std::none_of(seen.begin(), seen.end(), [&](const auto& at) { return taken[at.view] < most; })) continue;
+    if (std::ranges::none_of(seen, [&](const auto& at) { return taken[at.view] < most; })) continue;
     for (const auto& at : seen) ++taken[at.view];
     chosen.push_back(point);
   }
@@ -161,9 +155,7 @@ bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& o
   // A pose determined by keypoints only would not follow the more precise poses of the other images.
   std::vector<std::size_t> of_view(arrays.views.size());
   for (const TieObservation& seen : found) ++of_view[seen.view];
-  if (std::any_of(of_view.begin(), of_view.end(), [](std::size_t count) { return count < least_matches; })) {
-    return false;
-  }
+  if (std::ranges::min(of_view) < least_matches) return false;
 
   bundle.observations.clear();
   std::vector<bool> matched(bundle.points.size(), false);
@@ -198,9 +190,7 @@ void write_back(const Bundle& bundle, const Arrays& arrays, ColmapModel& model) 
   }
   std::vector<double> errors(bundle.points.size()), counts(bundle.points.size());
   for (const BundleObservation& seen : bundle.observations) {
-    const BundleView& view = bundle.views[seen.view];
-    const SweepView adjusted{{}, bundle.lenses[view.lens].camera, view.pose};
-    errors[seen.point] += residual_px(adjusted, bundle.points[seen.point], seen.pixel).norm();
+    errors[seen.point] += residual_px(bundle, seen).norm();
     ++counts[seen.point];
   }
   for (std::size_t k = 0; k < arrays.point_ids.size(); ++k) {

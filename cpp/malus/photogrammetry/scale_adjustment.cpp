@@ -70,6 +70,18 @@ struct Ends {
   Eigen::Vector3d point[2];
 };
 
+/// Derivatives of a distance in the station's unit by all unknowns. The first one, by the logarithm of the scale, is
+/// the distance itself.
+Eigen::VectorXd distance_slopes(const std::vector<Ends>& ends, std::size_t index, double scale) {
+  const auto first = static_cast<Eigen::Index>(1 + 6 * index);
+  const Eigen::Vector3d span = ends[index].point[0] - ends[index].point[1];
+  Eigen::VectorXd slopes = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(1 + 6 * ends.size()));
+  slopes[0] = scale * span.norm();
+  slopes.segment<3>(first) = scale * span.normalized();
+  slopes.segment<3>(first + 3) = -slopes.segment<3>(first);
+  return slopes;
+}
+
 /// The normal equations of one iteration.
 struct Normal {
   Eigen::MatrixXd matrix;
@@ -91,29 +103,14 @@ Normal normal_equations(const std::vector<Ends>& ends, std::span<const KnownDist
       }
     }
     if (distances[i].check) continue;
-    const Eigen::Vector3d span = ends[i].point[0] - ends[i].point[1];
-    const double length = std::exp(log_scale) * span.norm(), sigma = distances[i].sigma;
-    const double residual = (length - distances[i].distance) / sigma;
-    Eigen::VectorXd row = Eigen::VectorXd::Zero(unknowns);
-    row[0] = length / sigma;
-    row.segment<3>(first) = std::exp(log_scale) / sigma * span.normalized();
-    row.segment<3>(first + 3) = -row.segment<3>(first);
+    const Eigen::VectorXd slopes = distance_slopes(ends, i, std::exp(log_scale));
+    const double residual = (slopes[0] - distances[i].distance) / distances[i].sigma;
+    const Eigen::VectorXd row = slopes / distances[i].sigma;
     normal.matrix += row * row.transpose();
     normal.right -= row * residual;
     normal.cost += residual * residual;
   }
   return normal;
-}
-
-/// Standard deviation of the adjusted length, from the unknowns' covariance.
-double length_sigma(const Eigen::MatrixXd& covariance, const Ends& ends, std::size_t index, double scale) {
-  const auto first = static_cast<Eigen::Index>(1 + 6 * index);
-  const Eigen::Vector3d span = ends.point[0] - ends.point[1];
-  Eigen::VectorXd row = Eigen::VectorXd::Zero(covariance.rows());
-  row[0] = scale * span.norm();
-  row.segment<3>(first) = scale * span.normalized();
-  row.segment<3>(first + 3) = -row.segment<3>(first);
-  return std::sqrt(std::max(0.0, row.dot(covariance * row)));
 }
 
 DistanceFit fit_of(const KnownDistance& distance, const Ends& ends, std::span<const MarkedView> views, double scale) {
@@ -230,7 +227,9 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
   result.sigma = result.scale * inflation * std::sqrt(inverse(0, 0));
   for (std::size_t i = 0; i < ends.size(); ++i) {
     DistanceFit fit = fit_of(distances[i], ends[i], views, result.scale);
-    fit.sigma = std::hypot(inflation * length_sigma(inverse, ends[i], i, result.scale), distances[i].sigma);
+    const Eigen::VectorXd slopes = distance_slopes(ends, i, result.scale);
+    const double variance = std::max(0.0, slopes.dot(inverse * slopes));
+    fit.sigma = std::hypot(inflation * std::sqrt(variance), distances[i].sigma);
     result.distances.push_back(std::move(fit));
   }
   return result;

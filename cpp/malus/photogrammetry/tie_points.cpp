@@ -117,9 +117,9 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     for (std::size_t k = 0; k < window.offsets.size(); ++k) {
       const Eigen::Vector2d& d = window.offsets[k];
       if (!sample(image, placed.shape * d + placed.centre, at)) return std::nullopt;
+      // By the columns of the shape, the center, gain and offset.
       Vector8d row;
-      row << at.gradient.x() * d.x(), at.gradient.x() * d.y(), at.gradient.y() * d.x(), at.gradient.y() * d.y(),
-          at.gradient.x(), at.gradient.y(), -reference[k], -1;
+      row << at.gradient * d.x(), at.gradient * d.y(), at.gradient, -reference[k], -1;
       const double w = window.weights[k];
       normal.selfadjointView<Eigen::Lower>().rankUpdate(row, w);
       right -= w * at.value * row;
@@ -137,17 +137,14 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     Matrix8d tied = normal;
     tied.diagonal().head<4>().array() += tie;
     Vector8d tied_right = right;
-    tied_right.head<4>() -= tie * Eigen::Vector4d(bent(0, 0), bent(0, 1), bent(1, 0), bent(1, 1));
+    tied_right.head<4>() -= tie * Eigen::Map<const Eigen::Vector4d>(bent.data());
     const Eigen::LDLT<Matrix8d> factor(tied);
     if (factor.info() != Eigen::Success || !factor.isPositive()) return std::nullopt;
     const Vector8d step = factor.solve(tied_right);
     // Σ w (value + row · step)², with the residuals that the solution predicts.
     variance = std::max(squares + step.dot(normal * step) - 2 * right.dot(step), 0.0) / weight;
     const Eigen::Vector2d shift = step.segment<2>(4);
-    placed.shape(0, 0) += step(0);
-    placed.shape(0, 1) += step(1);
-    placed.shape(1, 0) += step(2);
-    placed.shape(1, 1) += step(3);
+    placed.shape += Eigen::Map<const Eigen::Matrix2d>(step.data());
     placed.centre += shift;
     if (!((placed.centre - start.centre).norm() <= range)) return std::nullopt;
     if (shift.norm() > converged_px || iteration == 0) continue;

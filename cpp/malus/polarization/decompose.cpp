@@ -9,6 +9,7 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/polarization/decompose_internal.h"
+#include "malus/polarization/polarizer_fit_internal.h"
 #include "malus/polarization/sinusoid_block_internal.h"
 
 namespace malus {
@@ -17,14 +18,6 @@ namespace {
 constexpr std::size_t run_length = SinusoidRun<float>::length;
 /// Angles closer than this (modulo π) are the same polarizer position.
 constexpr double same_angle_rad = 1e-6;
-
-using Rows = std::vector<Eigen::Vector3d>;
-
-Rows design_rows(std::span<const double> angles_rad) {
-  Rows rows;
-  for (const double angle : angles_rad) rows.emplace_back(polarizer_row(angle));
-  return rows;
-}
 
 /// Distinct angles modulo π, in order of first appearance, and how often each occurs.
 void count_angles(std::span<const double> angles_rad, std::vector<double>& distinct, std::vector<int>& counts) {
@@ -94,19 +87,21 @@ struct Fit {
 /// of SinusoidFit.
 class PixelFitter {
  public:
-  PixelFitter(Rows rows, const NoiseModel& noise, const DecomposeOptions& options)
-      : rows_(std::move(rows)), noise_(noise), options_(options), all_(pseudo_inverse(rows_, rows_.size())) {
-    for (std::size_t left_out = 0; left_out < rows_.size(); ++left_out) {
-      without_.push_back(pseudo_inverse(rows_, left_out));
+  PixelFitter(std::span<const double> angles_rad, const NoiseModel& noise, const DecomposeOptions& options)
+      : rows_(polarizer_rows(angles_rad).transpose()), noise_(noise), options_(options), all_(solver_of(rows_)) {
+    for (Eigen::Index left_out = 0; left_out < count(); ++left_out) {
+      Rows others = rows_;
+      others.col(left_out).setZero();
+      without_.push_back(solver_of(others));
     }
   }
 
   /// Fits a pixel and writes it into the rasters of a state; `recover`: a pixel that does not follow the sinusoid is
   /// fitted without the image that fits worst. `saturated`: state of the pixel.
-  void fit(const std::vector<double>& values, bool recover, bool saturated, PolarizationState& state,
+  void fit(const Eigen::VectorXd& values, bool recover, bool saturated, PolarizationState& state,
            std::size_t pixel) const {
-    Fit best = fit(values, rows_.size(), all_);
-    std::size_t freedom = rows_.size() - 3;
+    Fit best = fit(values, count(), all_);
+    Eigen::Index freedom = count() - 3;
     bool misfit = misfits(best, freedom);
     if (misfit && recover) {
       best = fit_without_one(values);
@@ -128,12 +123,12 @@ class PixelFitter {
   SinusoidFit single_precision() const {
     SinusoidFit single;
     const double unit = 1 / noise_.variance(0.5);
-    const double inverse_freedom = rows_.size() > 3 ? 1 / static_cast<double>(rows_.size() - 3) : 0.0;
-    for (std::size_t k = 0; k < rows_.size(); ++k) {
+    const double inverse_freedom = count() > 3 ? 1 / static_cast<double>(count() - 3) : 0.0;
+    for (Eigen::Index k = 0; k < count(); ++k) {
       SinusoidFit::View& view = single.views.emplace_back();
-      for (int i = 0; i < 3; ++i) view.solver[i] = static_cast<float>(0.5 * all_(i, static_cast<Eigen::Index>(k)));
-      view.cosine = static_cast<float>(2 * rows_[k][1]);
-      view.sine = static_cast<float>(2 * rows_[k][2]);
+      for (int i = 0; i < 3; ++i) view.solver[i] = static_cast<float>(0.5 * all_(i, k));
+      view.cosine = static_cast<float>(2 * rows_(1, k));
+      view.sine = static_cast<float>(2 * rows_(2, k));
       view.weight = static_cast<float>(std::sqrt(inverse_freedom * unit));
     }
     while (single.views.size() % SinusoidFit::group != 0) single.views.emplace_back();
@@ -147,27 +142,23 @@ class PixelFitter {
   }
 
  private:
-  using Solver = Eigen::Matrix<double, 3, Eigen::Dynamic>;
+  /// One column for each image.
+  using Rows = Eigen::Matrix3Xd;
 
-  /// Least-squares solver without row `left_out` (rows.size() = with all of them); empty if that is singular.
-  static Solver pseudo_inverse(const Rows& rows, std::size_t left_out) {
-    Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
-    for (std::size_t k = 0; k < rows.size(); ++k) {
-      if (k != left_out) normal += rows[k] * rows[k].transpose();
-    }
+  /// Number of images.
+  Eigen::Index count() const { return rows_.cols(); }
+
+  /// Least-squares solver of these rows; empty if they are singular.
+  static Rows solver_of(const Rows& rows) {
+    const Eigen::Matrix3d normal = rows * rows.transpose();
     if (std::abs(normal.determinant()) < 1e-9) return {};
-    const Eigen::Matrix3d inverse = normal.inverse();
-    Solver solver = Solver::Zero(3, static_cast<Eigen::Index>(rows.size()));
-    for (std::size_t k = 0; k < rows.size(); ++k) {
-      if (k != left_out) solver.col(static_cast<Eigen::Index>(k)) = inverse * rows[k];
-    }
-    return solver;
+    return normal.inverse() * rows;
   }
 
   /// Unpolarized intensity up to which a pixel is dark.
   float dark() const { return static_cast<float>(options_.dark_sigmas * std::sqrt(noise_.variance(0))); }
 
-  bool misfits(const Fit& fit, std::size_t freedom) const {
+  bool misfits(const Fit& fit, Eigen::Index freedom) const {
     if (freedom == 0) return false;
     const double free = static_cast<double>(freedom);
     return std::sqrt(fit.sum_normalized / free) > options_.misfit_sigmas &&
@@ -175,41 +166,40 @@ class PixelFitter {
   }
 
   /// Best of the fits that leave out one image.
-  Fit fit_without_one(const std::vector<double>& values) const {
+  Fit fit_without_one(const Eigen::VectorXd& values) const {
     Fit best;
     best.sum_normalized = std::numeric_limits<double>::infinity();
-    for (std::size_t left_out = 0; left_out < rows_.size(); ++left_out) {
-      if (without_[left_out].size() == 0) continue;
-      const Fit candidate = fit(values, left_out, without_[left_out]);
+    for (Eigen::Index left_out = 0; left_out < count(); ++left_out) {
+      const Rows& solver = without_[static_cast<std::size_t>(left_out)];
+      if (solver.size() == 0) continue;
+      const Fit candidate = fit(values, left_out, solver);
       if (candidate.sum_normalized < best.sum_normalized) best = candidate;
     }
     return best;
   }
 
-  Fit fit(const std::vector<double>& values, std::size_t left_out, const Solver& solver) const {
+  /// The fit without image `left_out`; count() = with all of them.
+  Fit fit(const Eigen::VectorXd& values, Eigen::Index left_out, const Rows& solver) const {
     Fit result;
-    for (std::size_t k = 0; k < values.size(); ++k) {
-      result.stokes += solver.col(static_cast<Eigen::Index>(k)) * values[k];
-    }
+    result.stokes = solver * values;
     if (options_.weighting == FitWeighting::noise) result.stokes = reweighted(values, left_out, result.stokes);
-    for (std::size_t k = 0; k < values.size(); ++k) {
+    for (Eigen::Index k = 0; k < count(); ++k) {
       if (k == left_out) continue;
-      const double expected = rows_[k].dot(result.stokes), residual = values[k] - expected;
+      const double expected = rows_.col(k).dot(result.stokes), residual = values[k] - expected;
       result.sum_squares += residual * residual;
       result.sum_normalized += residual * residual / noise_.variance(expected);
     }
     return result;
   }
 
-  Eigen::Vector3d reweighted(const std::vector<double>& values, std::size_t left_out,
-                             const Eigen::Vector3d& start) const {
+  Eigen::Vector3d reweighted(const Eigen::VectorXd& values, Eigen::Index left_out, const Eigen::Vector3d& start) const {
     Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
-    for (std::size_t k = 0; k < values.size(); ++k) {
+    for (Eigen::Index k = 0; k < count(); ++k) {
       if (k == left_out) continue;
-      const double weight = 1 / noise_.variance(rows_[k].dot(start));
-      normal += weight * rows_[k] * rows_[k].transpose();
-      right += weight * values[k] * rows_[k];
+      const double weight = 1 / noise_.variance(rows_.col(k).dot(start));
+      normal += weight * rows_.col(k) * rows_.col(k).transpose();
+      right += weight * values[k] * rows_.col(k);
     }
     return normal.inverse() * right;
   }
@@ -217,8 +207,8 @@ class PixelFitter {
   Rows rows_;
   const NoiseModel& noise_;
   const DecomposeOptions& options_;
-  Solver all_;
-  std::vector<Solver> without_;
+  Rows all_;
+  std::vector<Rows> without_;
 };
 
 /// Fits a run that is shorter than fit_sinusoid's runs, through a full-length copy. Pixels beyond `count` count as
@@ -258,7 +248,7 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
   }
   state.valid = Mask::uninitialized(size);
 
-  const PixelFitter fitter(design_rows(angles_rad), noise, options);
+  const PixelFitter fitter(angles_rad, noise, options);
   const SinusoidFit uniform = fitter.single_precision();
   const bool recover = options.recover_outliers && images.size() >= 5;
   const bool weighted = options.weighting == FitWeighting::noise;
@@ -267,7 +257,7 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
   parallel_for(context, size.area(), grain_of(size.area()), [&](std::size_t block_begin, std::size_t block_end) {
     SinusoidOutcome outcomes[run_length];
     std::vector<const Sample*> views(uniform.views.size());
-    std::vector<double> values(images.size());
+    Eigen::VectorXd values(static_cast<Eigen::Index>(images.size()));
     for (std::size_t begin = block_begin; begin < block_end; begin += run_length) {
       const std::size_t count = std::min(run_length, block_end - begin);
       for (std::size_t k = 0; k < views.size(); ++k) views[k] = images[k < images.size() ? k : 0] + begin;
@@ -284,7 +274,8 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
       if (!weighted && !(recover && misfits)) continue;
       for (std::size_t i = 0; i < count; ++i) {
         if (outcomes[i] == SinusoidOutcome::outside || (!weighted && outcomes[i] == SinusoidOutcome::fitted)) continue;
-        for (std::size_t k = 0; k < values.size(); ++k) values[k] = intensity(images[k][begin + i]);
+        for (std::size_t k = 0; k < images.size(); ++k)
+          values[static_cast<Eigen::Index>(k)] = intensity(images[k][begin + i]);
         fitter.fit(values, recover, run.saturated[i] != 0, state, begin + i);
       }
     }
@@ -295,8 +286,8 @@ PolarizationState decompose_samples(Size size, std::span<const Sample* const> im
 }  // namespace
 
 double angle_condition(std::span<const double> angles_rad) {
-  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
-  for (const Eigen::Vector3d& row : design_rows(angles_rad)) normal += row * row.transpose();
+  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad);
+  const Eigen::Matrix3d normal = rows.transpose() * rows;
   const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(normal).eigenvalues();
   if (values[0] <= 1e-12 * values[2]) return std::numeric_limits<double>::infinity();
   return values[2] / values[0];

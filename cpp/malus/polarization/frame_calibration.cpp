@@ -20,14 +20,7 @@ constexpr double small_zero_error_deg = 0.5;
 Eigen::VectorXd in_frame(const std::vector<double>& angles_rad, const std::vector<double>& gains,
                          const StokesFrame& frame) {
   // I = row · s = (row · frame⁻¹) · (frame · s).
-  const Eigen::MatrixX3d rows = polarizer_rows(angles_rad, gains) * frame.inverse();
-  Eigen::VectorXd values(2 * rows.rows());
-  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
-    values[rows.rows() + k] = std::log(2 * rows(k, 0));
-  }
-  values.tail(rows.rows()).array() -= values.tail(rows.rows()).mean();
-  return values;
+  return angles_and_gains(polarizer_rows(angles_rad, gains) * frame.inverse());
 }
 
 StokesFrame frame_of(const Eigen::Vector3d& values) {
@@ -72,6 +65,7 @@ Eigen::Matrix3d frame_by_nominal(const PolarizerFit& fit, const Eigen::MatrixX3d
 }
 
 void set_values(PolarizerCalibration& calibration, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
+  calibration.angles_deg = calibration.angles_sigma_deg = calibration.gains = calibration.gains_sigma = {};
   const Eigen::Index count = values.size() / 2;
   for (Eigen::Index k = 0; k < count; ++k) {
     double angle_deg = to_degrees(values[k]);
@@ -202,10 +196,6 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
 
   calibration.from_surface = true;
   result.frame = frame_of(values) * mirror;
-  calibration.angles_deg.clear();
-  calibration.angles_sigma_deg.clear();
-  calibration.gains.clear();
-  calibration.gains_sigma.clear();
   // `mirror` only changes the signs of the angles' correlations with exposures, which do not affect standard
   // deviations.
   set_values(calibration, in_frame(fit.angles_rad, fit.gains, result.frame),

@@ -52,11 +52,9 @@ Correlations correlations(const Sums& sums) {
 
 /// Standard deviation by the jackknife: `values` are the results with one part left out each.
 double jackknife_sigma(const std::vector<double>& values) {
-  const auto count = static_cast<double>(values.size());
-  double mean = 0, squares = 0;
-  for (const double value : values) mean += value / count;
-  for (const double value : values) squares += (value - mean) * (value - mean);
-  return std::sqrt((count - 1) / count * squares);
+  const auto count = static_cast<Eigen::Index>(values.size());
+  const Eigen::Map<const Eigen::ArrayXd> results(values.data(), count);
+  return std::sqrt(static_cast<double>(count - 1) * (results - results.mean()).square().mean());
 }
 
 }  // namespace

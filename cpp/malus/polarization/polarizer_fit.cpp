@@ -12,6 +12,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/tiled_axis_internal.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/polarizer_fit_internal.h"
 
@@ -52,10 +53,12 @@ struct PixelWeight {
   Eigen::MatrixXd complement;  ///< (K − 3) × K orthonormal rows; empty = weights from noise alone
   double scale2 = 1;           ///< typical squared residual
 
+  double squared_residual(const Eigen::VectorXd& values, double variance) const {
+    return (complement * values).squaredNorm() / static_cast<double>(complement.rows()) / variance;
+  }
   double operator()(const Eigen::VectorXd& values, double variance) const {
     if (complement.rows() == 0) return 1 / variance;
-    const double squared = (complement * values).squaredNorm() / static_cast<double>(complement.rows()) / variance;
-    return 1 / variance / (1 + squared / (cauchy_scale * cauchy_scale * scale2));
+    return 1 / variance / (1 + squared_residual(values, variance) / (cauchy_scale * cauchy_scale * scale2));
   }
 };
 
@@ -97,14 +100,12 @@ class Cells {
   std::size_t fill(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask,
                    const Mask& saturated, const Context& context) {
     size_ = {images[0].width() / side_, images[0].height() / side_};
+    const TiledImage tiles({0, 0, size_.width, size_.height}, parts_per_side, parts_per_side, 0);
     parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
-      const int row = static_cast<int>(part) / parts_per_side, column = static_cast<int>(part) % parts_per_side;
       parts_[part] = {};
-      for (int v = size_.height * row / parts_per_side; v < size_.height * (row + 1) / parts_per_side; ++v) {
-        for (int u = size_.width * column / parts_per_side; u < size_.width * (column + 1) / parts_per_side; ++u) {
-          if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
-        }
-      }
+      for_each_pixel(tiles.box(static_cast<int>(part)), [&](int u, int v) {
+        if (is_usable(u, v, mask, saturated)) read(u, v, images, noise, parts_[part]);
+      });
     });
     std::size_t count = 0;
     for (const Part& part : parts_) count += part.cells.size();
@@ -175,8 +176,7 @@ double typical_residual(const Cells& cells, const PixelWeight& weight) {
     for (std::size_t i = 0; i < part.cells.size(); ++i) {
       const Cells::Cell& cell = part.cells[i];
       if (cell.column % stride != 0 || cell.row % stride != 0) continue;
-      residuals.push_back((weight.complement * cells.means(part, i)).squaredNorm() /
-                          static_cast<double>(weight.complement.rows()) / cell.variance);
+      residuals.push_back(weight.squared_residual(cells.means(part, i), cell.variance));
     }
   }
   if (residuals.empty()) return 1;
@@ -319,16 +319,10 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
   Eigen::Matrix3d rows_from_space;
   rows_from_space << solver.eigenvectors().col(2) * std::sqrt(values[2]),
       solver.eigenvectors().col(0) * std::sqrt(-values[0]), solver.eigenvectors().col(1) * std::sqrt(-values[1]);
-  const Eigen::MatrixX3d rows = space * rows_from_space;
-  Polarizer start{Eigen::VectorXd(2 * rows.rows())};
-  for (Eigen::Index k = 0; k < rows.rows(); ++k) {
-    const double sign = rows.col(0).mean() < 0 ? -1 : 1;
-    if (!(sign * rows(k, 0) > 0)) return {};
-    start.values[k] = 0.5 * std::atan2(sign * rows(k, 2), sign * rows(k, 1));
-    start.values[rows.rows() + k] = std::log(sign * rows(k, 0));
-  }
-  start.values.tail(rows.rows()).array() -= start.values.tail(rows.rows()).mean();
-  return {start};
+  Eigen::MatrixX3d rows = space * rows_from_space;
+  if (rows.col(0).mean() < 0) rows = -rows;
+  if (!(rows.col(0).array() > 0).all()) return {};
+  return {Polarizer{angles_and_gains(rows)}};
 }
 
 /// Starting points of the search: the nominal angles. Without these: the angles that the images' space allows, and
@@ -348,11 +342,11 @@ std::vector<Polarizer> starts(const Nominal& nominal, bool free_angles, const Ei
   return result;
 }
 
-Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments, double inflation) {
+Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments) {
   Polarizer best;
   double lowest = std::numeric_limits<double>::infinity();
   for (Polarizer& candidate : starts(nominal, free_angles, moments)) {
-    const double cost = minimize(candidate, moments, inflation, nominal);
+    const double cost = minimize(candidate, moments, 1, nominal);
     if (cost < lowest) {
       lowest = cost;
       best = std::move(candidate);
@@ -414,6 +408,15 @@ Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<co
   return rows;
 }
 
+Eigen::VectorXd angles_and_gains(const Eigen::MatrixX3d& rows) {
+  const Eigen::Index count = rows.rows();
+  Eigen::VectorXd values(2 * count);
+  for (Eigen::Index k = 0; k < count; ++k) values[k] = 0.5 * std::atan2(rows(k, 2), rows(k, 1));
+  values.tail(count) = rows.col(0).array().log().matrix();
+  values.tail(count).array() -= values.tail(count).mean();
+  return values;
+}
+
 Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows) {
   return rows.completeOrthogonalDecomposition().pseudoInverse();
 }
@@ -445,7 +448,7 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
   const bool free_angles = nominal_rad.empty();
   const auto count = static_cast<Eigen::Index>(images.size());
   const Cells cells(images, noise, mask, saturated, context);
-  Nominal nominal = nominal_values(nominal_rad, count, options);
+  const Nominal nominal = nominal_values(nominal_rad, count, options);
 
   PixelWeight weight;
   Moments moments = second_moments(cells, weight, context);
@@ -454,7 +457,7 @@ PolarizerFit fit_polarizer(std::span<const Image<float>> images, std::span<const
         "fewer than 100 pixels of the object are neither saturated nor dark in the polarized images: "
         "their polarizer angles cannot be calibrated");
   }
-  Polarizer polarizer = search(nominal, free_angles, moments.total(), 1);
+  Polarizer polarizer = search(nominal, free_angles, moments.total());
   double inflation = 1;
   for (int pass = 0; pass < robust_passes && count > 3; ++pass) {
     context.progress("polarization", 0, "polarizer angles");

@@ -17,6 +17,9 @@ inline constexpr std::size_t min_images_for_free_angles = 5;
 /// Rows (g, g cos 2a, g sin 2a) / 2 of the images' intensities in (s0, s1, s2), K × 3. Without gains: g = 1.
 Eigen::MatrixX3d polarizer_rows(std::span<const double> angles_rad, std::span<const double> gains = {});
 
+/// Angles [rad], then ln gains of geometric mean 1, of images with these rows.
+Eigen::VectorXd angles_and_gains(const Eigen::MatrixX3d& rows);
+
 /// (s0, s1, s2) by least squares from intensities with these rows, 3 × K.
 Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows);
 

@@ -8,6 +8,7 @@
 #include "malus/core/cell_values_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/polarization/ray_frame.h"
 #include "malus/polarization/reflection_internal.h"
@@ -52,13 +53,9 @@ class PooledEvidence {
       : cell_px_(options.region_px) {
     const Size cells = cells_over(state.size(), cell_px_);
     Image<Evidence> sums(cells);
-    parallel_for(context, static_cast<std::size_t>(cells.height), 1, [&](std::size_t row, std::size_t) {
-      const int v0 = static_cast<int>(row) * cell_px_;
-      for (int v = v0; v < std::min(v0 + cell_px_, state.size().height); ++v) {
-        for (int u = 0; u < state.size().width; ++u) {
-          sums(u / cell_px_, static_cast<int>(row)) += evidence_at(state, camera, normals, u, v);
-        }
-      }
+    parallel_pixels(context, cells, [&](int x, int y) {
+      for_each_pixel(cell_rect(x, y, cell_px_, state.size()),
+                     [&](int u, int v) { sums(x, y) += evidence_at(state, camera, normals, u, v); });
     });
     Evidence all;
     for (const Evidence& cell : sums) all += cell;
@@ -67,14 +64,10 @@ class PooledEvidence {
     share_ = Image<float>(cells);
     for_each_pixel(cells, [&](int x, int y) {
       Evidence pooled{lean, lean * overall};
-      for (int dy = -1; dy <= 1; ++dy) {
-        for (int dx = -1; dx <= 1; ++dx) {
-          if (!sums.contains(x + dx, y + dy)) continue;
-          const double tent = (dx == 0 ? 1.0 : 0.5) * (dy == 0 ? 1.0 : 0.5);
-          const Evidence& cell = sums(x + dx, y + dy);
-          pooled += {tent * cell.weight, tent * cell.specular};
-        }
-      }
+      for_each_pixel(square_about(x, y, 1, cells), [&](int i, int j) {
+        const double tent = (i == x ? 1.0 : 0.5) * (j == y ? 1.0 : 0.5);
+        pooled += {tent * sums(i, j).weight, tent * sums(i, j).specular};
+      });
       share_(x, y) = pooled.weight > 0 ? static_cast<float>(pooled.specular / pooled.weight) : 0.0f;
     });
   }

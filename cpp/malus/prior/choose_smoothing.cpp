@@ -5,6 +5,7 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
+#include "malus/core/tiled_axis_internal.h"
 #include "malus/prior/choose_smoothing_internal.h"
 
 namespace malus {
@@ -18,14 +19,8 @@ constexpr std::size_t max_windows = 6;
 std::vector<PixelRect> pick_windows(PixelRect box, std::span<const ViewPoint> points, double side_px) {
   const int columns = std::max(1, static_cast<int>(std::round(box.width() / side_px)));
   const int rows = std::max(1, static_cast<int>(std::round(box.height() / side_px)));
-  std::vector<PixelRect> windows;
-  for (int row = 0; row < rows; ++row) {
-    for (int column = 0; column < columns; ++column) {
-      windows.push_back({box.u0 + box.width() * column / columns, box.v0 + box.height() * row / rows,
-                         box.u0 + box.width() * (column + 1) / columns, box.v0 + box.height() * (row + 1) / rows});
-    }
-  }
-  std::vector<std::size_t> counts(windows.size(), 0);
+  const TiledImage windows(box, columns, rows, 0);
+  std::vector<std::size_t> counts(static_cast<std::size_t>(windows.tiles()), 0);
   for (const ViewPoint& p : points) {
     const auto in_box = [](double x, int extent, int parts) {
       return static_cast<std::size_t>(std::clamp(static_cast<int>((x + 0.5) * parts / extent), 0, parts - 1));
@@ -33,10 +28,10 @@ std::vector<PixelRect> pick_windows(PixelRect box, std::span<const ViewPoint> po
     ++counts[in_box(p.v - box.v0, box.height(), rows) * static_cast<std::size_t>(columns) +
              in_box(p.u - box.u0, box.width(), columns)];
   }
-  const std::size_t usual = points.size() / windows.size();
+  const std::size_t usual = points.size() / counts.size();
   std::vector<PixelRect> good;
-  for (std::size_t i = 0; i < windows.size(); ++i) {
-    if (2 * counts[i] >= usual && counts[i] > 0) good.push_back(windows[i]);
+  for (std::size_t i = 0; i < counts.size(); ++i) {
+    if (2 * counts[i] >= usual && counts[i] > 0) good.push_back(windows.box(static_cast<int>(i)));
   }
   std::vector<PixelRect> picked;
   const std::size_t count = std::min(good.size(), max_windows);
@@ -72,22 +67,16 @@ class Windows {
   /// −2 × restricted log likelihood, up to a constant.
   double criterion(const SmoothingStrength& strength, const Context& context) {
     solve(strength, context);
-    struct Terms {
-      double weight = 0, residual = 0, determinant = 0;
-      Terms& operator+=(const Terms& other) {
-        weight += other.weight, residual += other.residual, determinant += other.determinant;
-        return *this;
-      }
-    };
-    const Terms sum = parallel_sum(context, splines_.size(), 1, Terms{}, [&](std::size_t i, std::size_t) {
+    using Terms = Eigen::Vector3d;  // weight, residual, determinant
+    const Terms sum = parallel_sum(context, splines_.size(), 1, Terms(0, 0, 0), [&](std::size_t i, std::size_t) {
       const SmoothingSpline& spline = *splines_[i];
       const double slopes = 2 * spline.slope_weight_sum();
       double determinant =
           spline.log_determinant() - 2 * std::log(strength.lambda) * (static_cast<double>(spline.unknowns()) - 3);
       if (slopes > 0) determinant -= 2 * std::log(strength.kappa) * slopes;
-      return Terms{spline.weight_sum() + slopes - 3, spline.penalized_residual(), determinant};
+      return Terms(spline.weight_sum() + slopes - 3, spline.penalized_residual(), determinant);
     });
-    return sum.weight * std::log(std::max(sum.residual, 1e-30)) + sum.determinant;
+    return sum[0] * std::log(std::max(sum[1], 1e-30)) + sum[2];
   }
 
  private:

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <limits>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/prior/facing_depths_internal.h"
 
 namespace malus {
@@ -15,20 +16,16 @@ constexpr float no_point = std::numeric_limits<float>::infinity();
 
 FacingDepths::FacingDepths(Size size)
     : cell_px_((std::max(size.width, size.height) + cells_per_side - 1) / cells_per_side),
-      columns_((size.width + cell_px_ - 1) / cell_px_) {
-  const int rows = (size.height + cell_px_ - 1) / cell_px_;
-  facing_.assign(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows), no_point);
-  away_ = facing_;
-}
+      facing_(cells_over(size, cell_px_), 1, no_point),
+      away_(facing_) {}
 
 void FacingDepths::add(int u, int v, double depth, bool faces) {
-  const auto cell = static_cast<std::size_t>(v / cell_px_ * columns_ + u / cell_px_);
-  float& nearest = (faces ? facing_ : away_)[cell];
+  float& nearest = (faces ? facing_ : away_)(u / cell_px_, v / cell_px_);
   nearest = std::min(nearest, static_cast<float>(depth));
 }
 
 void FacingDepths::add(const FacingDepths& other) {
-  for (std::size_t i = 0; i < facing_.size(); ++i) {
+  for (std::size_t i = 0; i < facing_.count(); ++i) {
     facing_[i] = std::min(facing_[i], other.facing_[i]);
     away_[i] = std::min(away_[i], other.away_[i]);
   }
@@ -40,7 +37,7 @@ bool FacingDepths::are_reversed(double focal) const {
   // Stray points face anywhere and lie anywhere, but only in few cells.
   constexpr double mostly = 0.7, least_share = 0.25;
   double facing = 0, both = 0, reversed = 0;
-  for (std::size_t i = 0; i < facing_.size(); ++i) {
+  for (std::size_t i = 0; i < facing_.count(); ++i) {
     if (!std::isfinite(facing_[i])) continue;
     ++facing;
     if (!std::isfinite(away_[i])) continue;

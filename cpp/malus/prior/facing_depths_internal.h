@@ -1,7 +1,5 @@
 #pragma once
 
-#include <vector>
-
 #include "malus/core/image.h"
 
 namespace malus {
@@ -22,8 +20,8 @@ class FacingDepths {
   bool are_reversed(double focal) const;
 
  private:
-  int cell_px_ = 1, columns_ = 1;
-  std::vector<float> facing_, away_;  ///< of each cell; infinite = no point
+  int cell_px_;
+  Image<float> facing_, away_;  ///< of each cell; infinite = no point
 };
 
 }  // namespace malus

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"
@@ -129,9 +130,7 @@ double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double 
   cv::Mat distance;
   cv::distanceTransform(as_mat(free), distance, cv::DIST_L2, cv::DIST_MASK_5);
   std::size_t far = 0;
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) far += mask(u, v) != 0 && distance.at<float>(v, u) > distance_px;
-  }
+  for_each_pixel(mask, [&](int u, int v) { far += distance.at<float>(v, u) > distance_px; });
   return static_cast<double>(far) / static_cast<double>(count_of_set(mask));
 }
 
@@ -232,28 +231,27 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
   Smoothing fine = how;
   fine.tension_px = margin;
   const int side = std::max(4 * margin, static_cast<int>(how.cell_px * std::sqrt(options.max_unknowns)) - 2 * margin);
-  const TiledAxis columns(box.u0, box.u1, (box.width() + side - 1) / side, margin, margin);
-  const TiledAxis rows(box.v0, box.v1, (box.height() + side - 1) / side, margin, margin);
+  const Size cuts = cells_over(box.size(), side);
+  const TiledImage tiled(box, cuts.width, cuts.height, margin);
   double noise2 = 0, counted = 0;
-  const int tiles = columns.tiles() * rows.tiles();
+  const int tiles = tiled.tiles();
   std::vector<std::optional<SplineFit>> fits(static_cast<std::size_t>(std::max(context.threads, 1)));
   Context inner = context;
   inner.threads = 1;
   for (int first = 0; first < tiles; first += static_cast<int>(fits.size())) {
     context.progress("prior", 0.3 + 0.6 * first / tiles, "smoothing the cloud");
     parallel_for(context, fits.size(), 1, [&](std::size_t i, std::size_t) {
-      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
+      const int tile = first + static_cast<int>(i);
       fits[i].reset();
       if (tile >= tiles) return;
-      const PixelRect area{columns.first(column), rows.first(row), columns.last(column), rows.last(row)};
+      const PixelRect area = tiled.box(tile);
       const bool has_object = bounding_box(mask, area).height() > 0;
       if (has_object) fits[i] = fit_robust(mask, area, fine, points, options.sigma_samples, inner);
     });
     for (std::size_t i = 0; i < fits.size(); ++i) {
       if (!fits[i]) continue;
-      const int tile = first + static_cast<int>(i), column = tile % columns.tiles(), row = tile / columns.tiles();
-      add_to(surface, *fits[i], mask, context,
-             [&](int u, int v) { return columns.weight(column, u) * rows.weight(row, v); });
+      const int tile = first + static_cast<int>(i);
+      add_to(surface, *fits[i], mask, context, [&](int u, int v) { return tiled.weight(tile, u, v); });
       noise2 += fits[i]->noise2 * static_cast<double>(fits[i]->spline.points());
       counted += static_cast<double>(fits[i]->spline.points());
     }
@@ -334,14 +332,12 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   cv::dilate(growing, growing, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   LargeVector<ViewPoint> points;
   std::vector<float> depths;
-  for (int v = 0; v < mask.height(); ++v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (mask(u, v) == 0) region(u, v) = 0;
-      if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) continue;
-      depths.push_back(prior.depth(u, v));
-      points.push_back(ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), 0));
-    }
-  }
+  for_each_pixel(mask.size(), [&](int u, int v) {
+    if (mask(u, v) == 0) region(u, v) = 0;
+    if (region(u, v) == 0 || !std::isfinite(prior.depth(u, v))) return;
+    depths.push_back(prior.depth(u, v));
+    points.push_back(ViewPoint::without_normal(static_cast<float>(u), static_cast<float>(v), 0));
+  });
   if (depths.size() < 3) throw data_error("prior: the object's holes have no depth around them to be filled from");
   const double focal = prior.camera.focal(), reference = median(depths);
   for (std::size_t i = 0; i < points.size(); ++i) {

@@ -38,14 +38,12 @@ struct RayHit {
 
 Image<float> depth_of_shape(const Shape& shape, const Pinhole& camera, const Pose& pose) {
   const Eigen::Matrix3d to_world = pose.rotation.transpose();
-  const Eigen::Vector3d origin = -(to_world * pose.translation);
+  const Eigen::Vector3d origin = pose.centre();
   Image<float> depth(camera.size);
-  for (int v = 0; v < camera.size.height; ++v) {
-    for (int u = 0; u < camera.size.width; ++u) {
-      // The camera's ray has z = 1, so the multiple is the depth.
-      depth(u, v) = static_cast<float>(std::visit(RayHit{origin, to_world * camera.ray(u, v)}, shape));
-    }
-  }
+  for_each_pixel(camera.size, [&](int u, int v) {
+    // The camera's ray has z = 1, so the multiple is the depth.
+    depth(u, v) = static_cast<float>(std::visit(RayHit{origin, to_world * camera.ray(u, v)}, shape));
+  });
   return depth;
 }
 

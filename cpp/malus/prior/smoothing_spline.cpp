@@ -106,11 +106,7 @@ SmoothingSpline::SmoothingSpline(const Mask& mask, PixelRect box, double cell_px
       active_(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), 0),
       stiffness_(cell_stiffness(cell_px, tension_px)),
       solver_(context) {
-  for (int v = box.v0; v < box.v1; ++v) {
-    for (int u = box.u0; u < box.u1; ++u) {
-      if (mask(u, v) != 0) active_[cell_of(u, v)] = 1;
-    }
-  }
+  for_each_pixel(box, mask, [&](int u, int v) { active_[cell_of(u, v)] = 1; });
   cell_start_.assign(active_.size() + 1, 0);
   for (const ViewPoint& p : points) {
     if (!contains(box, p)) continue;
@@ -462,18 +458,15 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
     });
   }
   Image<float> smooth(sum.size(), 1, 0.0F);
-  for (int row = 0; row < rows_; ++row) {
-    for (int column = 0; column < columns_; ++column) {
-      float total = 0;
-      int count = 0;
-      for (int b = std::max(row - 1, 0); b <= std::min(row + 1, rows_ - 1); ++b) {
-        for (int a = std::max(column - 1, 0); a <= std::min(column + 1, columns_ - 1); ++a) {
-          if (sum(a, b) > 0) total += sum(a, b), ++count;
-        }
-      }
-      if (sum(column, row) > 0) smooth(column, row) = total / static_cast<float>(count);
-    }
-  }
+  for_each_pixel(sum.size(), [&](int column, int row) {
+    if (!(sum(column, row) > 0)) return;
+    float total = 0;
+    int count = 0;
+    for_each_pixel(square_about(column, row, 1, sum.size()), [&](int a, int b) {
+      if (sum(a, b) > 0) total += sum(a, b), ++count;
+    });
+    smooth(column, row) = total / static_cast<float>(count);
+  });
   return smooth;
 }
 

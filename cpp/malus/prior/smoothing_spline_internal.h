@@ -49,7 +49,7 @@ class SmoothingSpline {
   /// are nearer too: these are a part of the surface that stands out, not strays. Points behind f are not kept that
   /// way: a recess cannot be distinguished from a hidden surface seen through gaps in a sparse cloud. Slopes lose
   /// weight where f is softened at the edges of a raised part.
-  bool reweight(const ResidualSpread& spread, double settled = 0, bool keep_raised = false);
+  bool reweight(const ResidualSpread& spread, double settled, bool keep_raised);
   /// Smooths less where f bends far more than is usual (steps, occluding edges): multiplies each cell's λ² by
   /// 1 / (1 + energy / (tolerance · typical)). `energy` is the bending energy of the current f in the cell, `typical`
   /// the geometric mean of that energy's mean and median over the cells.

@@ -84,10 +84,8 @@ void fill_result(const PassResult& pass, const HalvesDifference& halves, double 
   remove_small_regions(kept, region_step, options.min_region_px, context);
   const auto found = std::ranges::count_if(kept, [](float value) { return std::isfinite(value); });
   if (static_cast<double>(found) < least_completeness * object) keep_contours(kept, region_step, mask, context);
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (!std::isfinite(kept(u, v))) result.depth(u, v) = result.sigma(u, v) = result.confidence(u, v) = no_value;
-    }
+  parallel_pixels(context, mask.size(), [&](int u, int v) {
+    if (!std::isfinite(kept(u, v))) result.depth(u, v) = result.sigma(u, v) = result.confidence(u, v) = no_value;
   });
 
   std::vector<float> scores, sigmas_gsd;

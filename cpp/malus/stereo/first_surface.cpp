@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <sstream>
 #include <utility>
@@ -95,9 +94,7 @@ FirstSurface first_surface(const std::vector<StationPoint>& points, const MatchL
   std::vector<float> ranked = scores;
   // More points may be asked for on the object than are compared here.
   const std::size_t fewest = std::min(static_cast<std::size_t>(min_points), used.size());
-  std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(fewest - 1), ranked.end(),
-                   std::greater<>());
-  const float least = std::min(visible_score, ranked[fewest - 1]);
+  const float least = std::min(visible_score, of_rank_in_place(ranked, ranked.size() - fewest));
   std::vector<StationPoint> visible;
   for (std::size_t k = 0; k < used.size(); ++k) {
     if (scores[k] >= least) visible.push_back(used[k]);

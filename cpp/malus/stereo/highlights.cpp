@@ -104,9 +104,7 @@ Mask find_highlights(const Image<float>& reference, const Mask& object, const Vi
   cv::Mat region = as_mat(shines);
   cv::dilate(region, region, cv::getStructuringElement(cv::MORPH_RECT, {width, width}));
   Mask result(object.size(), 1, 0);
-  parallel_rows(context, result.height(), [&](int v) {
-    for (int u = 0; u < result.width(); ++u) result(u, v) = shines(u / 2, v / 2);
-  });
+  parallel_pixels(context, result.size(), [&](int u, int v) { result(u, v) = shines(u / 2, v / 2); });
   return result;
 }
 

@@ -52,9 +52,8 @@ Mask halved(const Mask& mask, const Context& context) {
   cv::Mat grown;
   cv::dilate(as_mat(mask), grown, cv::Mat::ones(window, window, CV_8U));
   Mask half(half_size(mask.size()));
-  parallel_rows(context, half.height(), [&](int v) {
-    for (int u = 0; u < half.width(); ++u) half(u, v) = grown.at<std::uint8_t>(2 * v, 2 * u) != 0 ? 255 : 0;
-  });
+  parallel_pixels(context, half.size(),
+                  [&](int u, int v) { half(u, v) = grown.at<std::uint8_t>(2 * v, 2 * u) != 0 ? 255 : 0; });
   return half;
 }
 

@@ -33,19 +33,12 @@ void aggregate_semi_globally(std::vector<float>& costs, std::size_t width, std::
   const std::size_t slot = labels + 2;
   // Path costs of two rows, for the three directions that come from the row before and the one from the pixel before;
   // the backward run covers the four opposite directions. One column is left empty on either side.
-  const std::vector<float> blank = [&] {
-    std::vector<float> values(slot, 0.0F);
-    values.front() = values.back() = infinite;
-    return values;
-  }();
+  std::vector<float> start((width + 2) * slot, 0.0F);
+  for (std::size_t at = 0; at < start.size(); at += slot) start[at] = start[at + slot - 1] = infinite;
   for (const bool forward : {true, false}) {
     std::array<std::vector<float>, 4> previous, current;
-    for (std::size_t k = 0; k < 4; ++k) {
-      for (std::size_t u = 0; u < width + 2; ++u) {
-        previous[k].insert(previous[k].end(), blank.begin(), blank.end());
-      }
-      current[k] = previous[k];
-    }
+    previous.fill(start);
+    current.fill(start);
     for (std::size_t row = 0; row < height; ++row) {
       context.check_cancel();
       const std::size_t v = forward ? row : height - 1 - row;

@@ -1,9 +1,11 @@
 #include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/core/simd_internal.h"
 #include "malus/stereo/surface_raster_internal.h"
 
@@ -34,65 +36,50 @@ void add_opposite(const float* here, const float* one, const float* other, const
 }  // namespace
 
 void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context) {
-  struct Pixel {
-    int u, v;
-  };
-  const auto around = [&](Pixel p, auto&& visit) {
-    for (int v = p.v - 1; v <= p.v + 1; ++v) {
-      for (int u = p.u - 1; u <= p.u + 1; ++u) {
-        if (log_depth.contains(u, v) && (u != p.u || v != p.v)) visit(u, v);
-      }
-    }
-  };
+  using Pixel = std::pair<int, int>;  // row and column, so that pixels sort row by row
   const auto is_gap = [&](int u, int v) { return mask(u, v) != 0 && !std::isfinite(log_depth(u, v)); };
-  const auto mean_around = [&](Pixel p) {
+  const auto mean_around = [&](int u, int v) {
     double sum = 0;
     int count = 0;
-    around(p, [&](int u, int v) {
-      if (!std::isfinite(log_depth(u, v))) return;
-      sum += log_depth(u, v);
+    for_each_pixel(square_about(u, v, 1, log_depth.size()), [&](int i, int j) {
+      if (!std::isfinite(log_depth(i, j))) return;
+      sum += log_depth(i, j);
       ++count;
     });
     return count > 0 ? static_cast<float>(sum / count) : no_value;
   };
   std::vector<std::vector<Pixel>> rings(static_cast<std::size_t>(mask.height()));
-  parallel_rows(context, mask.height(), [&](int v) {
-    for (int u = 0; u < mask.width(); ++u) {
-      if (is_gap(u, v) && std::isfinite(mean_around({u, v}))) rings[static_cast<std::size_t>(v)].push_back({u, v});
-    }
+  parallel_pixels(context, mask, [&](int u, int v) {
+    if (is_gap(u, v) && std::isfinite(mean_around(u, v))) rings[static_cast<std::size_t>(v)].emplace_back(v, u);
   });
   std::vector<Pixel> ring;
   for (const std::vector<Pixel>& of_row : rings) ring.insert(ring.end(), of_row.begin(), of_row.end());
   while (!ring.empty()) {
     std::vector<float> values;
-    for (const Pixel p : ring) values.push_back(mean_around(p));
-    for (std::size_t i = 0; i < ring.size(); ++i) log_depth(ring[i].u, ring[i].v) = values[i];
+    for (const auto& [v, u] : ring) values.push_back(mean_around(u, v));
+    for (std::size_t i = 0; i < ring.size(); ++i) log_depth(ring[i].second, ring[i].first) = values[i];
     std::vector<Pixel> next;
-    for (const Pixel p : ring) {
-      around(p, [&](int u, int v) {
-        if (is_gap(u, v)) next.push_back({u, v});
+    for (const auto& [v, u] : ring) {
+      for_each_pixel(square_about(u, v, 1, log_depth.size()), [&](int i, int j) {
+        if (is_gap(i, j)) next.emplace_back(j, i);
       });
     }
-    const auto before = [](Pixel a, Pixel b) { return a.v != b.v ? a.v < b.v : a.u < b.u; };
-    std::sort(next.begin(), next.end(), before);
-    next.erase(std::unique(next.begin(), next.end(), [](Pixel a, Pixel b) { return a.u == b.u && a.v == b.v; }),
-               next.end());
+    std::sort(next.begin(), next.end());
+    next.erase(std::unique(next.begin(), next.end()), next.end());
     ring = std::move(next);
   }
 }
 
-Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context) {
+Image<float> median_filtered(const Image<float>& log_depth, const Context& context) {
   Image<float> result(log_depth.size(), 1, no_value);
   parallel_rows(context, log_depth.height(), [&](int v) {
     std::vector<float> window;
     for (int u = 0; u < log_depth.width(); ++u) {
       if (!std::isfinite(log_depth(u, v))) continue;
       window.clear();
-      for (int j = std::max(v - radius, 0); j <= std::min(v + radius, log_depth.height() - 1); ++j) {
-        for (int i = std::max(u - radius, 0); i <= std::min(u + radius, log_depth.width() - 1); ++i) {
-          if (std::isfinite(log_depth(i, j))) window.push_back(log_depth(i, j));
-        }
-      }
+      for_each_pixel(square_about(u, v, 1, log_depth.size()), [&](int i, int j) {
+        if (std::isfinite(log_depth(i, j))) window.push_back(log_depth(i, j));
+      });
       result(u, v) = median_in_place(window);
     }
   });
@@ -134,14 +121,12 @@ Image<float> halved_surface(const Image<float>& log_depth, const Mask& mask, con
   Image<float> result(mask.size(), 1, no_value);
   parallel_pixels(context, mask, [&](int u, int v) {
     float sum = 0, weight = 0;
-    for (int j = -1; j <= 1; ++j) {
-      for (int i = -1; i <= 1; ++i) {
-        if (!log_depth.contains(2 * u + i, 2 * v + j) || !std::isfinite(log_depth(2 * u + i, 2 * v + j))) continue;
-        const auto w = static_cast<float>((2 - std::abs(i)) * (2 - std::abs(j)));
-        sum += w * log_depth(2 * u + i, 2 * v + j);
-        weight += w;
-      }
-    }
+    for_each_pixel(square_about(2 * u, 2 * v, 1, log_depth.size()), [&](int i, int j) {
+      if (!std::isfinite(log_depth(i, j))) return;
+      const auto w = static_cast<float>((i == 2 * u ? 2 : 1) * (j == 2 * v ? 2 : 1));
+      sum += w * log_depth(i, j);
+      weight += w;
+    });
     if (weight > 0) result(u, v) = sum / weight;
   });
   return result;

@@ -9,8 +9,8 @@ namespace malus {
 
 /// Fills pixels of the mask without a value from the nearest pixels with one, ring by ring.
 void fill_gaps(Image<float>& log_depth, const Mask& mask, const Context& context);
-/// Each pixel becomes the median of its (2 radius + 1)² surroundings.
-Image<float> median_filtered(const Image<float>& log_depth, int radius, const Context& context);
+/// Each pixel becomes the median of the 3 × 3 pixels around it.
+Image<float> median_filtered(const Image<float>& log_depth, const Context& context);
 /// Gaussian mean of sigma `sigma_px` over pixels whose value differs by at most `largest_step` per pixel of distance.
 Image<float> smoothed(const Image<float>& log_depth, double sigma_px, double largest_step, const Context& context);
 /// Values at half the resolution (see `halved`), a binomial mean of the known values; NaN outside the mask and where no

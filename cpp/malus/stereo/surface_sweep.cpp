@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
+#include <span>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -22,12 +22,9 @@
 namespace malus {
 namespace {
 
-bool is_finite(const Image<float>& image) {
-  return std::all_of(image.begin(), image.end(), [](float value) { return std::isfinite(value); });
-}
-
-void require_finite(bool finite, const std::string& name) {
-  if (!finite) throw input_error(name + ": intensities must be finite numbers");
+void require_finite(const Image<float>& image, const std::string& name) {
+  if (!std::ranges::all_of(image, [](float value) { return std::isfinite(value); }))
+    throw input_error(name + ": intensities must be finite numbers");
 }
 
 void validate(const SweepInput& input, std::span<const SweepView> views, const SweepOptions& options,
@@ -36,7 +33,7 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (input.camera.size.area() == 0) throw input_error("surface sweep: the station's camera has no pixels");
   require_size(input.intensity, input.camera.size, "surface sweep: the station's intensity");
   require_size(input.mask, input.camera.size, "surface sweep: mask");
-  require_finite(is_finite(input.intensity), "surface sweep: the station's intensity");
+  require_finite(input.intensity, "surface sweep: the station's intensity");
   if (count_of_set(input.mask) == 0) {
     throw input_error("surface sweep: mask: no pixel is set, expected the object's pixels to be non-zero");
   }
@@ -53,26 +50,14 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
   if (views.empty()) {
     throw data_error("surface sweep: no photos, expected at least one whose pose is known");
   }
-  std::vector<std::uint8_t> finite(views.size());
-  parallel_for(context, views.size(), 1,
-               [&](std::size_t k, std::size_t) { finite[k] = is_finite(views[k].intensity); });
-  for (std::size_t k = 0; k < views.size(); ++k) {
+  parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
     const std::string name = "surface sweep: photo " + std::to_string(k);
     views[k].camera.validate(name);
     require_size(views[k].intensity, views[k].camera.size, name);
-    require_finite(finite[k] != 0, name);
+    require_finite(views[k].intensity, name);
     if (!views[k].pose.rotation.allFinite() || !views[k].pose.translation.allFinite()) {
       throw input_error(name + ": the pose is not finite");
     }
-  }
-}
-
-/// Calls body(i) for every pixel, on all threads.
-template <class Body>
-void for_each_pixel(const Image<float>& image, const Context& context, Body&& body) {
-  constexpr std::size_t pixels_at_once = 65536;
-  parallel_for(context, image.count(), pixels_at_once, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) body(i);
   });
 }
 
@@ -93,24 +78,16 @@ float typical(std::size_t pixels, Value&& value) {
 Image<float> coded(const Image<float>& intensity, double gamma, const Context& context) {
   Image<float> result(intensity.size());
   const auto exponent = static_cast<float>(1 / gamma);
-  parallel_rows(context, intensity.height(), [&](int v) {
-    for (int u = 0; u < intensity.width(); ++u) result(u, v) = std::pow(std::max(intensity(u, v), 0.0F), exponent);
-  });
+  parallel_pixels(context, result.size(),
+                  [&](int u, int v) { result(u, v) = std::pow(std::max(intensity(u, v), 0.0F), exponent); });
   return result;
 }
 
 /// ln of a depth map; NaN where it has no depth.
 Image<float> log_of(const Image<float>& depth, const Context& context) {
   Image<float> result = Image<float>::uninitialized(depth.size(), 1);
-  for_each_pixel(depth, context, [&](std::size_t i) {
-    result[i] = depth[i] > 0 ? std::log(depth[i]) : std::numeric_limits<float>::quiet_NaN();
-  });
-  return result;
-}
-
-Image<float> sum(const Image<float>& a, const Image<float>& b, const Context& context) {
-  Image<float> result = Image<float>::uninitialized(a.size(), 1);
-  for_each_pixel(a, context, [&](std::size_t i) { result[i] = a[i] + b[i]; });
+  parallel_pixels(context, depth.size(),
+                  [&](int u, int v) { result(u, v) = depth(u, v) > 0 ? std::log(depth(u, v)) : no_value; });
   return result;
 }
 
@@ -189,11 +166,8 @@ class SurfaceSweep {
       } else {
         start();
       }
-      if (k > 0) {
-        for (const Sweep& step : coarse_sweeps) sweep(step);
-      } else {
-        for (const Sweep& step : finest_sweeps) sweep(step);
-      }
+      const std::span<const Sweep> sweeps = k > 0 ? std::span<const Sweep>(coarse_sweeps) : finest_sweeps;
+      for (const Sweep& step : sweeps) sweep(step);
     }
     finish();
     return std::move(result_);
@@ -241,23 +215,19 @@ class SurfaceSweep {
   }
 
   void start_from_surface() {
-    deviation_ = Image<float>(level_.mask.size(), 1, 0.0F);
-    for (std::size_t i = 0; i < deviation_.count(); ++i) {
-      if (level_.mask[i] == 0) deviation_[i] = std::numeric_limits<float>::quiet_NaN();
-    }
+    deviation_ = Image<float>(level_.mask.size(), 1, no_value);
+    for_each_pixel(level_.mask, [&](int u, int v) { deviation_(u, v) = 0; });
     result_.points_total = static_cast<double>(input_.points.size());
     photos_.choose(level_, shape_);
     prepare_photos();
   }
 
   MatchSettings match_settings() const {
-    MatchSettings settings;
-    settings.radius = is_known() ? options_.known_window_radius : options_.window_radius;
-    settings.best = std::min(options_.best_views, static_cast<int>(level_.views.size()));
-    settings.max_views = options_.max_views;
-    settings.noise_variance = static_cast<float>(options_.noise * options_.noise);
-    settings.compare_halves = level_.reduction == 1 && level_.views.size() >= 3;
-    return settings;
+    return {.radius = is_known() ? options_.known_window_radius : options_.window_radius,
+            .best = std::min(options_.best_views, static_cast<int>(level_.views.size())),
+            .max_views = options_.max_views,
+            .noise_variance = static_cast<float>(options_.noise * options_.noise),
+            .compare_halves = level_.reduction == 1 && level_.views.size() >= 3};
   }
 
   /// Coarsest level: a surface through the triangulated points, then a sweep over that surface's range.
@@ -283,38 +253,37 @@ class SurfaceSweep {
 
   void sweep(const Sweep& step) {
     const auto start = std::chrono::steady_clock::now();
-    PassSettings settings;
-    settings.half_count = step.half_count;
-    settings.step = static_cast<float>(step.step_px / rate_);
     // Penalties refer to a change of the surface, so they are smaller for finer offsets.
     const double fineness = step.step_px / penalty_step_px;
-    settings.small_step = static_cast<float>(options_.small_step * fineness);
-    settings.large_step = static_cast<float>(options_.large_step * fineness);
-    settings.match = match_settings();
+    const PassSettings settings{.half_count = step.half_count,
+                                .step = static_cast<float>(step.step_px / rate_),
+                                .small_step = static_cast<float>(options_.small_step * fineness),
+                                .large_step = static_cast<float>(options_.large_step * fineness),
+                                .match = match_settings()};
 
-    deviation_ = median_filtered(deviation_, 1, context_);
+    deviation_ = median_filtered(deviation_, context_);
     deviation_ =
         smoothed(deviation_, step.smooth_px * (is_known() ? known_smoothing : 1), smoothing_limit_px / rate_, context_);
     fill_gaps(deviation_, level_.mask, context_);
-    const Image<float> before = sum(shape_, deviation_, context_);
+    Image<float> before = shape_;
+    parallel_pixels(context_, before.size(), [&](int u, int v) { before(u, v) += deviation_(u, v); });
     pass_ = run_pass(level_, before, settings, context_);
-    SweepPassReport report;
     const double gsd = 1 / input_.camera.focal();
-    report.reduction = level_.reduction;
-    report.offsets = 2 * step.half_count + 1;
-    report.step_gsd = settings.step / gsd;
-    report.score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; });
-    report.change_gsd =
-        typical(before.count(), [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); }) / gsd;
-    report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    result_.passes.push_back(report);
+    const auto change = [&](std::size_t i) { return std::abs(pass_.log_depth[i] - before[i]); };
+    result_.passes.push_back(
+        {.reduction = level_.reduction,
+         .offsets = 2 * step.half_count + 1,
+         .step_gsd = settings.step / gsd,
+         .score = typical(before.count(), [&](std::size_t i) { return pass_.score[i]; }),
+         .change_gsd = typical(before.count(), change) / gsd,
+         .seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()});
     if (level_.reduction == 1) {
       wide_difference_px_ = std::move(difference_px_);
       difference_px_ = std::move(pass_.difference);
-      for_each_pixel(difference_px_, context_,
-                     [&](std::size_t i) { difference_px_[i] *= static_cast<float>(step.step_px); });
+      for (float& value : difference_px_) value *= static_cast<float>(step.step_px);
     }
-    for_each_pixel(deviation_, context_, [&](std::size_t i) { deviation_[i] = pass_.log_depth[i] - shape_[i]; });
+    parallel_pixels(context_, deviation_.size(),
+                    [&](int u, int v) { deviation_(u, v) = pass_.log_depth(u, v) - shape_(u, v); });
     context_.progress("sweep", 1.0 / level_.reduction, "1/" + std::to_string(level_.reduction) + " resolution");
   }
 
@@ -354,7 +323,7 @@ class SurfaceSweep {
     for (std::size_t i = 0; i < shines.count(); ++i) {
       if (level_.mask[i] == 0 || shines[i] == 0) continue;
       ++count;
-      pass_.log_depth[i] = std::numeric_limits<float>::quiet_NaN();
+      pass_.log_depth[i] = no_value;
     }
     result_.highlights = count / static_cast<double>(count_of_set(level_.mask));
     return count > 0;

@@ -4,6 +4,7 @@
 #include <functional>
 #include <vector>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/semi_global_internal.h"
@@ -105,13 +106,10 @@ PassResult run_pass(const MatchLevel& level, const Image<float>& log_depth, cons
   PassResult result{Image<float>(size, 1, no_value), Image<float>(size, 1, no_value), Image<float>(size, 1, no_value)};
   const int side = 2 * settings.half_count + 1 <= few_offsets ? tile_side_of_few : tile_side;
   std::vector<PixelRect> tiles;
-  for (int v = 0; v < size.height; v += side) {
-    for (int u = 0; u < size.width; u += side) {
-      const PixelRect tile =
-          bounding_box(level.mask, {u, v, std::min(u + side, size.width), std::min(v + side, size.height)});
-      if (tile.v0 < tile.v1) tiles.push_back(tile);
-    }
-  }
+  for_each_pixel(cells_over(size, side), [&](int column, int row) {
+    const PixelRect tile = bounding_box(level.mask, cell_rect(column, row, side, size));
+    if (!tile.empty()) tiles.push_back(tile);
+  });
   // Large tiles first, so that all threads finish at about the same time.
   std::ranges::stable_sort(tiles, std::ranges::greater{},
                            [](const PixelRect& tile) { return tile.width() * tile.height(); });

@@ -21,18 +21,19 @@ constexpr double largest_fit_error_px = 0.05;
 /// Photos with a shorter side below this are not halved.
 constexpr int least_halved_px = 16;
 
-/// Spacing of the sample pixels, px of the level. On a small or thin object, which has fewer samples than a side of the
-/// image, they lie closer together.
-int sample_spacing(const Mask& mask, const Image<float>& log_depth) {
-  int step = std::max(1, std::min(mask.width(), mask.height()) / samples_a_side);
-  for (; step > 1; step /= 2) {
-    int samples = 0;
+/// Pixels of the level at which photos are judged. On a small or thin object, which has fewer samples than a side of
+/// the image, they lie closer together.
+std::vector<Eigen::Vector2i> sample_pixels(const Mask& mask, const Image<float>& log_depth) {
+  std::vector<Eigen::Vector2i> samples;
+  for (int step = std::max(1, std::min(mask.width(), mask.height()) / samples_a_side);; step /= 2) {
+    samples.clear();
     for (int v = 0; v < mask.height(); v += step) {
-      for (int u = 0; u < mask.width(); u += step) samples += mask(u, v) != 0 && std::isfinite(log_depth(u, v));
+      for (int u = 0; u < mask.width(); u += step) {
+        if (mask(u, v) != 0 && std::isfinite(log_depth(u, v))) samples.emplace_back(u, v);
+      }
     }
-    if (samples >= samples_a_side) break;
+    if (step == 1 || samples.size() >= static_cast<std::size_t>(samples_a_side)) return samples;
   }
-  return step;
 }
 
 }  // namespace
@@ -53,32 +54,28 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, cons
 }
 
 void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth) {
-  const int step = sample_spacing(level.mask, log_depth);
+  const std::vector<Eigen::Vector2i> samples = sample_pixels(level.mask, log_depth);
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
-    double total = 0;
     const Size size = photo.size;
-    for (int v = 0; v < level.mask.height(); v += step) {
-      for (int u = 0; u < level.mask.width(); u += step) {
-        if (level.mask(u, v) == 0 || !std::isfinite(log_depth(u, v))) continue;
-        ++total;
-        constexpr double delta = 1e-3;
-        const double z = std::exp(log_depth(u, v)), x = u * level.reduction, y = v * level.reduction;
-        const Eigen::Vector2d pixel = photo.projection.project(x, y, z);
-        if (!(pixel.array() >= 0).all() || pixel.x() > size.width - 1 || pixel.y() > size.height - 1) continue;
-        const Eigen::Vector2d farther = photo.projection.project(x, y, z * (1 + delta));
-        const Eigen::Vector3d point = z * station_.ray(x, y);
-        const double scale =
-            photo.projection.focal() / photo.projection.depth_in_view(x, y, z) / (station_.focal() / z);
-        resolution.push_back(scale);
-        parallax.push_back((farther - pixel).norm() / delta / scale);
-        const Eigen::Vector3d away = (photo.projection.centre_in_station() - point).normalized();
-        angle.push_back(std::acos(std::clamp(-away.dot(point.normalized()), -1.0, 1.0)));
-      }
+    for (const Eigen::Vector2i& sample : samples) {
+      constexpr double delta = 1e-3;
+      const double z = std::exp(log_depth(sample.x(), sample.y()));
+      const double x = sample.x() * level.reduction, y = sample.y() * level.reduction;
+      const Eigen::Vector2d pixel = photo.projection.project(x, y, z);
+      if (!(pixel.array() >= 0).all() || pixel.x() > size.width - 1 || pixel.y() > size.height - 1) continue;
+      const Eigen::Vector2d farther = photo.projection.project(x, y, z * (1 + delta));
+      const Eigen::Vector3d point = z * station_.ray(x, y);
+      const double scale = photo.projection.focal() / photo.projection.depth_in_view(x, y, z) / (station_.focal() / z);
+      resolution.push_back(scale);
+      parallax.push_back((farther - pixel).norm() / delta / scale);
+      const Eigen::Vector3d away = (photo.projection.centre_in_station() - point).normalized();
+      angle.push_back(std::acos(std::clamp(-away.dot(point.normalized()), -1.0, 1.0)));
     }
     photo.parallax = median(parallax);
     photo.resolution = resolution.empty() ? 1 : median(resolution);
-    const double a = median(angle), share = total > 0 ? static_cast<double>(angle.size()) / total : 0;
+    const double total = std::max(1.0, static_cast<double>(samples.size()));
+    const double a = median(angle), share = static_cast<double>(angle.size()) / total;
     photo.sees = !angle.empty() && a <= to_radians(options_.max_angle_deg);
     const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;

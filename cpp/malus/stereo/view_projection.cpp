@@ -17,12 +17,8 @@ ViewProjection::ViewProjection(const Pinhole& station, const Pose& station_pose,
     : station_(station),
       view_from_station_(pose.rotation * station_pose.rotation.transpose()),
       translation_(pose.translation - view_from_station_ * station_pose.translation),
-      centre_in_station_(-view_from_station_.transpose() * translation_) {
-  const Pinhole k = camera.pinhole();
-  fx_ = k.fx;
-  fy_ = k.fy;
-  cx_ = k.cx;
-  cy_ = k.cy;
+      centre_in_station_(-view_from_station_.transpose() * translation_),
+      raster_(camera.pinhole()) {
   fit_lens(camera);
 }
 
@@ -41,8 +37,7 @@ void ViewProjection::fit_lens(const LensCamera& camera) {
       max_r2_ = std::max(max_r2_, 1.05 * r2);
       rows.row(n) << x * r2, x * r2 * r2, x * r2 * r2 * r2, 2 * x * y, r2 + 2 * x * x;
       rows.row(n + 1) << y * r2, y * r2 * r2, y * r2 * r2 * r2, r2 + 2 * y * y, 2 * x * y;
-      right[n] = (pixel.x() - cx_) / fx_ - x;
-      right[n + 1] = (pixel.y() - cy_) / fy_ - y;
+      right.segment<2>(n) = raster_.ray(pixel.x(), pixel.y()).head<2>() - ideal;
       n += 2;
     }
   }
@@ -51,20 +46,15 @@ void ViewProjection::fit_lens(const LensCamera& camera) {
   if (!camera.has_distortion()) return;
   // Columns differ in size by powers of the field's radius; scaling makes the system well conditioned.
   const Eigen::VectorXd scale = rows.colwise().norm().cwiseMax(1e-30).cwiseInverse();
-  const Eigen::VectorXd lens = scale.asDiagonal() * (rows * scale.asDiagonal()).colPivHouseholderQr().solve(right);
-  k1_ = lens[0];
-  k2_ = lens[1];
-  k3_ = lens[2];
-  p1_ = lens[3];
-  p2_ = lens[4];
-  fit_error_px_ = (rows * lens - right).cwiseAbs().maxCoeff() * focal();
+  lens_ = scale.asDiagonal() * (rows * scale.asDiagonal()).colPivHouseholderQr().solve(right);
+  fit_error_px_ = (rows * lens_ - right).cwiseAbs().maxCoeff() * focal();
 }
 
 Eigen::Vector2d ViewProjection::measured(const Eigen::Vector2d& ideal) const {
   const double x = ideal.x(), y = ideal.y(), r2 = ideal.squaredNorm();
-  const double radial = 1 + r2 * (k1_ + r2 * (k2_ + r2 * k3_));
-  return {fx_ * (x * radial + 2 * p1_ * x * y + p2_ * (r2 + 2 * x * x)) + cx_,
-          fy_ * (y * radial + p1_ * (r2 + 2 * y * y) + 2 * p2_ * x * y) + cy_};
+  const double radial = 1 + r2 * (lens_[0] + r2 * (lens_[1] + r2 * lens_[2])), p1 = lens_[3], p2 = lens_[4];
+  return raster_.project(
+      {x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y, 1.0});
 }
 
 Eigen::Vector2d ViewProjection::project(double u, double v, double z) const {
@@ -84,10 +74,11 @@ void ViewProjection::project_row(double u0, double v, double spacing, const floa
   const Eigen::Vector3f start = (view_from_station_ * station_.ray(spacing * u0, spacing * v)).cast<float>();
   const Eigen::Vector3f step = (view_from_station_.col(0) * (spacing / station_.fx)).cast<float>();
   const Eigen::Vector3f shift = translation_.cast<float>();
-  const auto fx = static_cast<float>(fx_), fy = static_cast<float>(fy_);
-  const auto cx = static_cast<float>(cx_), cy = static_cast<float>(cy_);
-  const auto k1 = static_cast<float>(k1_), k2 = static_cast<float>(k2_), k3 = static_cast<float>(k3_);
-  const auto p1 = static_cast<float>(p1_), p2 = static_cast<float>(p2_), max_r2 = static_cast<float>(max_r2_);
+  const auto fx = static_cast<float>(raster_.fx), fy = static_cast<float>(raster_.fy);
+  const auto cx = static_cast<float>(raster_.cx), cy = static_cast<float>(raster_.cy);
+  const Eigen::Matrix<float, 5, 1> lens = lens_.cast<float>();
+  const float k1 = lens[0], k2 = lens[1], k3 = lens[2], p1 = lens[3], p2 = lens[4];
+  const auto max_r2 = static_cast<float>(max_r2_);
   constexpr auto away = static_cast<float>(outside);
   for (std::size_t i = 0; i < count; ++i) {
     const auto at = static_cast<float>(static_cast<int>(i));

@@ -22,7 +22,7 @@ class ViewProjection {
   Eigen::Vector2d project(double u, double v, double z) const;
   /// Center of the photo's camera in the station's frame.
   const Eigen::Vector3d& centre_in_station() const { return centre_in_station_; }
-  double focal() const { return 0.5 * (fx_ + fy_); }
+  double focal() const { return raster_.focal(); }
   /// Distance of a station point from the photo's camera along its axis.
   double depth_in_view(double u, double v, double z) const;
   double fit_error_px() const { return fit_error_px_; }
@@ -34,8 +34,8 @@ class ViewProjection {
   Pinhole station_;
   Eigen::Matrix3d view_from_station_;
   Eigen::Vector3d translation_, centre_in_station_;
-  double fx_ = 1, fy_ = 1, cx_ = 0, cy_ = 0;
-  double k1_ = 0, k2_ = 0, k3_ = 0, p1_ = 0, p2_ = 0;
+  Pinhole raster_;                                                          ///< of the photo without distortion
+  Eigen::Matrix<double, 5, 1> lens_ = Eigen::Matrix<double, 5, 1>::Zero();  ///< k1 k2 k3 p1 p2
   double max_r2_ = 0;  ///< squared ideal radius of the field of view; beyond it the polynomials may fold back
   double fit_error_px_ = 0;
 };

@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/error.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -96,7 +97,7 @@ struct Grid {
 Grid grid_over(const Mask& object) {
   const int spacing =
       std::max(1, (std::max(object.width(), object.height()) + longest_grid_side - 1) / longest_grid_side);
-  return {spacing, {(object.width() + spacing - 1) / spacing, (object.height() + spacing - 1) / spacing}};
+  return {spacing, cells_over(object.size(), spacing)};
 }
 
 /// Front of the hull of some outlines at the grid's pixels.
@@ -144,7 +145,7 @@ Image<float> at_pixels(const Image<float>& values, const Grid& grid, const Mask&
     double sum = 0, weight = 0;
     for (int j = top; j <= top + 1; ++j) {
       for (int i = left; i <= left + 1; ++i) {
-        if (i < 0 || j < 0 || i >= grid.size.width || j >= grid.size.height || std::isnan(values(i, j))) continue;
+        if (!values.contains(i, j) || std::isnan(values(i, j))) continue;
         const double w = std::max(1e-6, (1 - std::abs(x - i)) * (1 - std::abs(y - j)));
         sum += w * values(i, j);
         weight += w;
@@ -202,14 +203,11 @@ VisualHull visual_hull(const Pinhole& camera, const Pose& pose, const Mask& obje
     throw data_error(
         "the masks of the photos have no place in common on the object: do they all show all of it, and nothing else?");
   }
-  left = masked_blur(left, known, smoothing_px, context);
+  left = masked_blur(left, known, smoothing_px, context);  // stays NaN where there is no hull
   for (std::size_t i = 0; i < depth.count(); ++i) {
-    if (known[i] == 0) continue;
     depth[i] += left[i];
     left[i] = static_cast<float>(std::hypot(left[i], step, hollow_radii * ball.radius));
   }
-  for (std::size_t i = 0; i < left.count(); ++i)
-    if (known[i] == 0) left[i] = no_value;
   return {at_pixels(depth, grid, object, context), at_pixels(left, grid, object, context)};
 }
 
