@@ -92,12 +92,15 @@ def malus(*arguments: str | Path, **options: object) -> Outcome:
 
 
 def malus_here(*arguments: str | Path) -> Outcome:
-    """Run `malus …` within this process, for short commands: starting a program takes longer than most of them."""
+    """Run `malus …` within this process: starting a program takes longer than most commands."""
     from malus import cli
 
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = cli.main([str(word) for word in arguments])
+        try:
+            code = cli.main([str(word) for word in arguments])
+        except SystemExit as end:  # after --help and --version
+            code = int(end.code or 0)
     return Outcome(code, out.getvalue(), err.getvalue())
 
 

@@ -15,8 +15,7 @@ import pytest
 import tifffile
 
 import malus
-from conftest import edit
-from conftest import malus as run_malus
+from conftest import edit, malus_here
 from malus.archive import _inputs
 
 bagit = pytest.importorskip("bagit")
@@ -27,7 +26,7 @@ rocrate = pytest.importorskip("rocrate.rocrate")
 def bag(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The unpacked bag."""
     folder = tmp_path_factory.mktemp("archive")
-    outcome = run_malus("export", finished_grid, "--format", "archive", "-o", folder / "a.zip")
+    outcome = malus_here("export", finished_grid, "--format", "archive", "-o", folder / "a.zip")
     assert outcome.code == 0, outcome.err
     with zipfile.ZipFile(folder / "a.zip") as file:
         file.extractall(folder)
@@ -146,15 +145,15 @@ def test_changed_or_missing_inputs_are_refused(
 
 def test_a_changed_object_description_recomputes_nothing(small_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    assert malus_here("run", small_station, "-o", work, "--fusion", "grid").code == 0
     before = malus.Workspace(work).manifest["times"]
     edit(small_station, 'maker = "unknown mason"', 'maker = "Phidias"')
-    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    assert malus_here("run", small_station, "-o", work, "--fusion", "grid").code == 0
     after = malus.Workspace(work)
     assert after.quality["object"]["maker"] == "Phidias"
     assert after.manifest["times"]["fuse"] == before["fuse"]
     edit(small_station, "maker =", "makr =")
-    outcome = run_malus("check", small_station)
+    outcome = malus_here("check", small_station)
     assert outcome.code == 2 and "[object].makr" in outcome.err and "maker" in outcome.err
 
 

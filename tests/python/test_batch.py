@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import pytest
 
 import malus.batch
-from conftest import edit, half_written, needs_distributed
+from conftest import edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
 from malus.campaign import Campaign, Task
 from malus.options import Options
@@ -77,7 +77,7 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_a_campaign_reports_its_start_at_once(three: tuple[Path, Path]) -> None:
     file, output = three
-    first = json.loads(run_malus("batch", file, "-o", output, "--json").out.splitlines()[0])
+    first = json.loads(malus_here("batch", file, "-o", output, "--json").out.splitlines()[0])
     assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
 
 
@@ -117,10 +117,10 @@ def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Pat
 def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 3)
     for index in ("1/2", "2/2"):
-        assert run_malus("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
+        assert malus_here("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
         rows = json.loads((tmp_path / "shards/campaign.json").read_text())["stations"]
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
-    assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
+    assert malus_here("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
     assert results(tmp_path / "shards") == results(tmp_path / "serial")
 
 
@@ -295,7 +295,7 @@ def test_errors_in_campaign_files_are_explained(
     tiny_station_source: Path, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     file = edit(campaign_of(tmp_path, tiny_station_source, 1), old, new)
-    outcome = run_malus("batch", file, "-o", tmp_path / "out")
+    outcome = malus_here("batch", file, "-o", tmp_path / "out")
     assert outcome.code == 2
     assert message in outcome.err and str(file) in outcome.err
     assert "Traceback" not in outcome.err
@@ -311,7 +311,7 @@ def test_shards_from_python_are_checked(tiny_station_source: Path, tmp_path: Pat
 @pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--shard", "²/8"], ["--jobs", "0"]])
 def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, arguments: list[str]) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 1)
-    outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)
+    outcome = malus_here("batch", file, "-o", tmp_path / "out", *arguments)
     assert outcome.code == 2
     assert arguments[0] in outcome.err
 

@@ -119,7 +119,7 @@ def test_a_station_takes_its_pose_from_its_control_points(
     assert outcome.code == 0 and "position of the camera from 5 control points" in outcome.out
 
     work = tmp_path / "work"
-    outcome = malus("run", path, "-o", work, "--fusion", "grid", "--threads", "2")
+    outcome = malus_here("run", path, "-o", work, "--fusion", "grid", "--threads", "2")
     assert outcome.code == 0, outcome.err
     control = json.loads((work / "quality.json").read_text())["control"]
     assert control["datum"] is None
@@ -209,11 +209,11 @@ def test_too_few_control_points_are_reported_before_photos_are_matched(tmp_path:
     station.write_text(station.read_text().split("[[scale]]")[0] + "\n".join(lines))
     expected = "[[control]]: 2 points without check = true are marked in two photos or more, expected at least 3"
     for command in (("check", station), ("run", station, "-o", tmp_path / "work")):
-        outcome = malus(*command)
+        outcome = malus_here(*command)
         assert outcome.code == 2 and expected in " ".join(outcome.err.split()), outcome
     assert not list((tmp_path / "work").rglob("database.db"))
     station.write_text(station.read_text().replace("check = true\n", ""))
-    assert "frame and size from 3 control points" in malus("check", station).out
+    assert "frame and size from 3 control points" in malus_here("check", station).out
 
 
 @pytest.mark.skipif(

@@ -571,11 +571,11 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
     written = (output / "object/mesh.ply").stat().st_mtime_ns
-    again = run_malus("object", pair, "-o", output, "--quiet")
+    again = malus_here("object", pair, "-o", output, "--quiet")
     assert again.code == 0 and not again.out
     assert (output / "object/mesh.ply").stat().st_mtime_ns == written
     edit(output / "object/quality.json", '"gsd": ', '"gsd": 1')
-    assert run_malus("object", pair, "-o", output, "--quiet").code == 0
+    assert malus_here("object", pair, "-o", output, "--quiet").code == 0
     # There are no times in it: it is made again to the bit.
     assert json.loads((output / "object/quality.json").read_text()) == quality
     # A cloud that is replaced while the surface is made, after the stations have been run.
@@ -613,7 +613,7 @@ def changing(file: Path, function: Callable[..., Any]) -> Callable[..., Any]:
 def test_broken_station_is_told_and_the_others_are_joined(pair: Path) -> None:
     (pair.parent / "o1/pol/pol_030.tif").write_bytes(b"no image")
     output = pair.parent / "out"
-    outcome = run_malus("object", pair, "-o", output, "--threads", "1")
+    outcome = malus_here("object", pair, "-o", output, "--threads", "1")
     assert outcome.code == 2
     assert "o1" in outcome.err and "pol_030.tif" in outcome.err and "Traceback" not in outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
@@ -720,7 +720,7 @@ def test_a_station_that_had_failed_is_forgotten_when_it_is_taken_out(pair: Path)
 
 def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:
     output = pair.parent / "out"
-    first = run_malus("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
+    first = malus_here("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
     assert first.code == 0 and "1 of 2 stations are not run yet" in first.out
     assert not (output / "object").exists()
 
@@ -750,12 +750,12 @@ def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
 
 
 def test_check_lists_every_station(pair: Path) -> None:
-    outcome = run_malus("check", pair, "--threads", "1")
+    outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
     assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
     for name in ("o0", "o1"):
         assert f"station {name} (small): " in outcome.out
-    told = json.loads(run_malus("check", pair, "--json", "--threads", "1").out)
+    told = json.loads(malus_here("check", pair, "--json", "--threads", "1").out)
     assert [plan["station"] for plan in told["stations"]] == ["o0", "o1"]
     seconds = [plan["seconds"] for plan in told["stations"]]
     assert (

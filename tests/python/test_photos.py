@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 import malus as package
-from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station, run_program
+from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_here, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
 from malus.photogrammetry import database, diagnosis, photo_cameras, scale, station_pose
@@ -684,6 +684,6 @@ def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str)
     found, true = centers(model), centers(truth)
     spread = [np.linalg.norm(c - c.mean(axis=0)) for c in (found, true)]
     assert spread[0] / spread[1] == pytest.approx(1, abs=2e-3)
-    again = malus("prior", station, "-o", tmp_path / "work", *options, "--json")
+    again = malus_here("prior", station, "-o", tmp_path / "work", *options, "--json")
     steps = [json.loads(line) for line in again.out.splitlines()]
     assert any(step.get("message") == "kept from an earlier run" and step["step"] == "prior" for step in steps)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import QUICK_WORDS
-from conftest import malus as run_malus
+from conftest import QUICK_WORDS, malus_here
 from malus import registration
 from malus.registration import place_reference
 
@@ -93,19 +92,19 @@ def test_arrays_of_a_wrong_shape_are_named() -> None:
 def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Path) -> None:
     """The fused surface itself, rotated and moved away, is brought back to its place."""
     work = tmp_path / "work"
-    assert run_malus("fuse", small_station, "-o", work, *QUICK_WORDS, "--threads", "2", "--quiet").code == 0
+    assert malus_here("fuse", small_station, "-o", work, *QUICK_WORDS, "--threads", "2", "--quiet").code == 0
     points = malus.Workspace(work).points().reshape(-1, 3)
     points = points[np.isfinite(points).all(1)]
     scan = tmp_path / "scan.xyz"
     np.savetxt(scan, turned(points, 90, (0.1, 0.2, 1)) + np.array([300, -200, 100]))
-    outcome = run_malus("assess", small_station, "-o", work, "--reference", scan, "--register", *QUICK_WORDS)
+    outcome = malus_here("assess", small_station, "-o", work, "--reference", scan, "--register", *QUICK_WORDS)
     assert outcome.code == 0, outcome.err
     quality = json.loads((work / "quality.json").read_text())
     assert quality["reference"]["compared_fraction"] > 0.99
     assert quality["reference"]["distance_gsd"]["rmse"] < 0.05
     found = json.loads((work / "reference/registration.json").read_text())
     assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
-    alone = run_malus("assess", small_station, "-o", work, "--register", *QUICK_WORDS)
+    alone = malus_here("assess", small_station, "-o", work, "--register", *QUICK_WORDS)
     assert alone.code == 2 and "--register needs a reference" in alone.err
 
 
@@ -113,7 +112,7 @@ def test_a_reference_that_is_nowhere_near_does_not_end_the_run(small_station: Pa
     """Such as a scan in another unit or frame."""
     np.savetxt(tmp_path / "scan.xyz", relief(1) + 1e4)
     work = tmp_path / "work"
-    outcome = run_malus(
+    outcome = malus_here(
         "run", small_station, "-o", work, "--fusion", "grid", "--reference", tmp_path / "scan.xyz", "--threads", "2"
     )
     assert outcome.code == 0, outcome.err

@@ -19,8 +19,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
-from conftest import run_program
+from conftest import malus_here, run_program
 from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
@@ -608,10 +607,10 @@ def test_text_of_charts_is_not_cut_off(work: Path) -> None:
 
 
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
-    outcome = run_malus("report", tmp_path / "none")
+    outcome = malus_here("report", tmp_path / "none")
     assert outcome.code == 2 and "there is no such folder" in outcome.err
     (tmp_path / "manifest.json").write_text("{}")
-    outcome = run_malus("view", tmp_path)
+    outcome = malus_here("view", tmp_path)
     assert outcome.code == 2 and "malus report" in outcome.err
 
 
