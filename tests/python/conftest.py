@@ -223,17 +223,22 @@ to = [{x1 - x0 - 10}, {(y1 - y0) // 2}]
     )
 
 
-@pytest.fixture
-def pair(small_station_source: Path, tmp_path: Path) -> Path:
+def write_pair(source: Path, folder: Path) -> Path:
     """An object file with two copies of one station, whose surfaces therefore agree everywhere."""
     for k in range(2):
-        shutil.copytree(small_station_source, tmp_path / f"o{k}")
-    file = tmp_path / "object.toml"
+        shutil.copytree(source, folder / f"o{k}")
+    file = folder / "object.toml"
     file.write_text(
         '[object]\nname = "pair"\nstations = ["o0/station.toml", "o1/station.toml"]\nclosed = false\nreport = false\nfaces = 3000\n'
         '[options]\nfusion = "grid"\n[options.prior]\nsmoothing_px = 4\n[options.height]\niterations = 2\n'
     )
     return file
+
+
+@pytest.fixture
+def pair(small_station_source: Path, tmp_path: Path) -> Path:
+    """The object file of a pair of one's own."""
+    return write_pair(small_station_source, tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -25,10 +25,10 @@ from conftest import (
     cloud_in_meters,
     cut_out,
     demo_with_photos,
+    malus_here,
     metashape_cameras,
     run_program,
 )
-from conftest import malus as run_malus
 from malus import InputError, Station, station
 from malus.campaign import Campaign
 from malus.object import Object
@@ -45,7 +45,7 @@ MARK = re.compile(r"<!-- (run by|read as)( a part of)? (\S+) -->\n\n```(\w+)\n(.
 def prepare(kind: str, target: Path) -> None:
     """Make the folder that a page begins with from the example station."""
     if kind == "examples/relief without station.toml":
-        cut_out(target, WINDOW, PATCH)  # large enough to test the commands
+        cut_out(target, TINY_WINDOW, TINY_PATCH)  # large enough to test the commands
         (target / "station.toml").unlink()
         return
     if kind.startswith("examples/"):
@@ -85,7 +85,7 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
     for name in re.findall(r"<!-- two stations: (\S+) -->", text):
         pytest.importorskip("xatlas")
         for side in ("front", "side"):
-            shutil.copytree(request.getfixturevalue("small_station_source"), tmp_path / name / side)
+            shutil.copytree(request.getfixturevalue("tiny_station_source"), tmp_path / name / side)
     for name, kind in re.findall(r"<!-- folder: (\S+) = (.*?) -->", text):
         prepare(kind, tmp_path / name)
     program = ""
@@ -98,7 +98,7 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
         elif language == "console":
             for line in block.splitlines():
                 assert line.startswith("$ malus "), line
-                outcome = run_malus(*shlex.split(line)[2:], cwd=tmp_path)
+                outcome = malus_here(*shlex.split(line)[2:])
                 assert outcome.code == 0, f"{line}\n{outcome.err}"
         elif language == "python":
             program += block
@@ -229,19 +229,20 @@ def test_files_on_a_page_are_toml(page: Path) -> None:
             tomllib.loads(block)
 
 
-def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path) -> None:
+def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = dict(BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")))
     prepare("examples/relief", tmp_path)
     (tmp_path / "station.toml").write_text(blocks["toml"])
-    outcome = run_malus("check", "station.toml", cwd=tmp_path)
+    outcome = malus_here("check", "station.toml")
     assert outcome.code == 0, outcome.err
     # The commands and the program run on a small window; `given` defines the reader's images and angles, which the program uses.
     small = tmp_path / "small"
     cut_out(small, TINY_WINDOW, TINY_PATCH)
+    monkeypatch.chdir(small)
     for line in blocks["console"].splitlines():
         words = shlex.split(line, comments=True)
         assert words[:2] == ["$", ".venv/bin/malus"], line
-        outcome = run_malus(*words[2:], cwd=small)
+        outcome = malus_here(*words[2:])
         assert outcome.code == 0, outcome.err
     given = "import numpy\nimages, angles_rad = [numpy.full((4, 5), 0.5, numpy.float32)] * 3, [0, 1, 2]\n"
     outcome = run_program(sys.executable, "-c", given + blocks["python"], cwd=small)
