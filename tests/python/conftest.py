@@ -53,11 +53,20 @@ LONGEST_FIRST = (
     "test_object.py",
     "test_pipeline.py",
     "test_studio.py",
-    "test_studio_in_haste.py",
     "test_docs.py",
+    "test_paper.py",
     "test_batch.py",
+    "test_polarizer.py",
     "test_control.py",
+    "test_report.py",
+    "test_archive.py",
+    "test_exports.py",
+    "test_registration.py",
+    "test_synthetic.py",
+    "test_mosaic.py",
+    "test_evidence.py",
     "test_object_reference.py",
+    "test_studio_in_haste.py",
 )
 
 

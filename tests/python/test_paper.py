@@ -526,21 +526,20 @@ def cloud_scaled(folder: Path, factor: float) -> None:
 def test_scale_of_a_given_cloud(small_station: Path, tmp_path: Path) -> None:
     """With a known distance, a cloud in an unknown unit gives the same prior as the metric cloud."""
 
-    def findings(name: str) -> dict[str, tuple[str, str]]:
+    def prior_and_findings(name: str) -> tuple[np.ndarray, dict[str, tuple[str, str]]]:
         outcome = malus_station(small_station, "-o", tmp_path / name, "--until", "evidence")
         assert outcome.code == 0, outcome.err
         said = json.loads((tmp_path / name / "evidence/findings.json").read_text())
-        return {finding["check"]: (finding["severity"], finding["message"]) for finding in said}
+        depth = tifffile.imread(tmp_path / name / "prior/depth.tif")
+        return depth, {finding["check"]: (finding["severity"], finding["message"]) for finding in said}
 
-    metric = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
-    of_metric = findings("metric")
+    metric, of_metric = prior_and_findings("metric")
     cloud_scaled(small_station.parent, 0.01)
     with small_station.open("a") as file:
         file.write("\n[[scale]]\ndistance = 50\na_xyz = [0, 0, 0]\nb_xyz = [0.3, 0.4, 0]\n")
-    scaled = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
-    assert metric.prior_depth is not None and scaled.prior_depth is not None
-    np.testing.assert_allclose(scaled.prior_depth, metric.prior_depth, rtol=1e-5)
-    assert findings("scaled") == of_metric, "the cloud's place is checked as it is used"
+    scaled, of_scaled = prior_and_findings("scaled")
+    np.testing.assert_allclose(scaled, metric, rtol=1e-5)
+    assert of_scaled == of_metric, "the cloud's place is checked as it is used"
 
 
 def test_scale_that_would_not_be_used_is_refused(small_station: Path) -> None:
