@@ -309,6 +309,14 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     return folder / "station.toml"
 
 
+@pytest.fixture
+def tiny_station(tiny_station_source: Path, tmp_path: Path) -> Path:
+    """The same of the tiny station, for tests that do not check the surface."""
+    folder = tmp_path / "station"
+    shutil.copytree(tiny_station_source, folder)
+    return folder / "station.toml"
+
+
 def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
     """The cameras.xml of a Metashape project in meters for a station in millimeters; one unit of the chunk is `scale` m."""
     camera = package.Station.load(station).describe()["camera"]

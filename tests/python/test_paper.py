@@ -571,17 +571,17 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
     assert malus_here("height", small_station, "-o", tmp_path / "known").code == 2
 
 
-def test_a_height_that_cannot_be_computed_is_said_to_be_none(small_station: Path, tmp_path: Path) -> None:
+def test_a_height_that_cannot_be_computed_is_said_to_be_none(tiny_station: Path, tmp_path: Path) -> None:
     """Light from where the camera is does not distinguish slopes."""
-    with small_station.open("a") as file:
+    with tiny_station.open("a") as file:
         file.write("\n[optics]\nlight = [0, 0, -1]\n")
     work, why = tmp_path / "work", "light along the view direction"
     words = ("--set", "light.min_tangential=0.5", "--threads", "2")
-    outcome = malus_here("height", small_station, "-o", work, *words)
+    outcome = malus_here("height", tiny_station, "-o", work, *words)
     assert (
         outcome.code == 0 and f"there is no height from polarization, height/height.tif is empty: {why}" in outcome.err
     )
-    outcome = malus_here("run", small_station, "-o", work, *QUICK_WORDS, *words)
+    outcome = malus_here("run", tiny_station, "-o", work, *QUICK_WORDS, *words)
     assert outcome.code == 0, outcome.err
     page = (work / "report/index.html").read_text(encoding="utf-8")
     assert f"There is none: {why}." in page
@@ -610,10 +610,10 @@ def test_light_of_a_rendered_bust_without_its_prior() -> None:
         assert found["of_contour"] == (assumption == "contour")
 
 
-def test_grid_fusion_says_that_it_does_not_estimate_the_index(small_station: Path, tmp_path: Path) -> None:
-    with small_station.open("a") as file:
+def test_grid_fusion_says_that_it_does_not_estimate_the_index(tiny_station: Path, tmp_path: Path) -> None:
+    with tiny_station.open("a") as file:
         file.write('\n[optics]\nrefractive_index = "auto"\n')
-    outcome = malus_here("fuse", small_station, "-o", tmp_path / "work", "--fusion", "grid")
+    outcome = malus_here("fuse", tiny_station, "-o", tmp_path / "work", "--fusion", "grid")
     assert outcome.code == 0 and "only the refinement estimates it" in outcome.err
 
 

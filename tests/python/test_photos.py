@@ -112,7 +112,7 @@ def fake_colmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fails(station: Path, work: Path, code: int, *words: str) -> str:
-    outcome = malus("prior", station, "-o", work, "--threads", "1")
+    outcome = malus_here("prior", station, "-o", work, "--threads", "1")
     assert outcome.code == code, outcome
     for word in words:
         assert word in outcome.err, f"{word!r} is not in {outcome.err!r}"

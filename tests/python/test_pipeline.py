@@ -276,15 +276,15 @@ def test_every_command_leaves_what_its_help_says(tiny_station_source: Path, tmp_
     assert (work / "report/index.html").stat().st_size > 0
 
 
-def test_grid_fusion_is_no_refinement(small_station: Path, tmp_path: Path) -> None:
+def test_grid_fusion_is_no_refinement(tiny_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     for wrong in (["--fusion", "grid"], ["--set", "fusion=grid"]):
-        outcome = malus_here("refine", small_station, "-o", work, *wrong)
+        outcome = malus_here("refine", tiny_station, "-o", work, *wrong)
         assert outcome.code == 2 and "malus fuse" in outcome.err
     assert not work.exists()
-    assert malus_here("fuse", small_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    assert malus_here("fuse", tiny_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
     assert "height/height.tif" in files_of(work) and "fused/refinement.json" not in files_of(work)
-    outcome = malus_station(small_station, "-o", work, "--until", "refine")
+    outcome = malus_station(tiny_station, "-o", work, "--until", "refine")
     assert outcome.code == 2 and "step refine does not exist, expected one of polarization, " in outcome.err
 
 
@@ -411,17 +411,17 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
     assert misfits in quiet.err and "confidence" not in quiet.err, "nothing is fused"
 
 
-def test_provenance_names_everything_that_was_read(small_station: Path, tmp_path: Path) -> None:
-    folder = small_station.parent
-    Image.fromarray(np.full((160, 200), 255, np.uint8)).save(folder / "mask.png")
-    Image.fromarray(np.ones((160, 200), np.uint8)).save(folder / "labels.png")
+def test_provenance_names_everything_that_was_read(tiny_station: Path, tmp_path: Path) -> None:
+    folder = tiny_station.parent
+    Image.fromarray(np.full((80, 100), 255, np.uint8)).save(folder / "mask.png")
+    Image.fromarray(np.ones((80, 100), np.uint8)).save(folder / "labels.png")
     (folder / "response.csv").write_text("0 0\n16383 1\n")
-    edit(small_station, "white_level = 16383", 'response = "response.csv"\nwhite_level = 16383\nmask = "mask.png"')
-    edit(small_station, "[prior]", '[optics]\nreflection = "labels.png"\n\n[prior]')
+    edit(tiny_station, "white_level = 16383", 'response = "response.csv"\nwhite_level = 16383\nmask = "mask.png"')
+    edit(tiny_station, "[prior]", '[optics]\nreflection = "labels.png"\n\n[prior]')
     shutil.copy(folder / "dense/cloud.ply", folder / "scan.ply")
     work = tmp_path / "work"
     outcome = malus_here(
-        "run", small_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
+        "run", tiny_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
     )
     assert outcome.code == 0, outcome.err
     manifest = malus.Workspace(work).manifest
