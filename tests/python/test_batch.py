@@ -114,14 +114,22 @@ def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Pat
     assert malus.batch.failure(outcomes) is None
 
 
-def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path) -> None:
-    file = campaign_of(tmp_path, tiny_station_source, 3)
+@pytest.fixture(scope="module")
+def undisturbed(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
+    """A campaign of three stations, and the results of one run of it."""
+    file = campaign_of(tmp_path_factory.mktemp("undisturbed"), tiny_station_source, 3)
+    assert malus_here("batch", file, "-o", file.parent / "out", "--threads", "1", "--quiet").code == 0
+    return file, results(file.parent / "out")
+
+
+def test_shards_together_equal_one_run(undisturbed: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
+    file, expected = undisturbed
     for index in ("1/2", "2/2"):
-        assert malus_here("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
+        shard = ("--shard", index, "--threads", "1", "--quiet")
+        assert malus_here("batch", file, "-o", tmp_path / "shards", *shard).code == 0
         rows = json.loads((tmp_path / "shards/campaign.json").read_text())["stations"]
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
-    assert malus_here("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
-    assert results(tmp_path / "shards") == results(tmp_path / "serial")
+    assert results(tmp_path / "shards") == expected
 
 
 def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
@@ -429,10 +437,13 @@ def test_a_killed_worker_loses_no_result(tiny_station_source: Path, tmp_path: Pa
 @needs_distributed
 @pytest.mark.filterwarnings("ignore")  # Dask's own warnings while it loses its scheduler
 def test_a_killed_scheduler_is_reported_and_loses_no_result(
-    tiny_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    undisturbed: tuple[Path, dict[str, bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(malus.batch, "_SCHEDULER_TIMEOUT", "5s")
-    campaign = Campaign.load(campaign_of(tmp_path, tiny_station_source, 3))
+    campaign = Campaign.load(undisturbed[0])
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
@@ -466,5 +477,4 @@ def test_a_killed_scheduler_is_reported_and_loses_no_result(
         campaign, tmp_path / "out", threads=1, progress=lambda *told: ended.append(told[2]["station"])
     )
     assert len(set(ended)) == len(ended), "none is run twice"
-    malus.batch.run_campaign(campaign, tmp_path / "serial", threads=1)
-    assert results(tmp_path / "out") == results(tmp_path / "serial")
+    assert results(tmp_path / "out") == undisturbed[1]
