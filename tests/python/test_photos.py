@@ -13,7 +13,6 @@ import time
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -652,31 +651,19 @@ def test_metashape_cameras(tmp_path: Path) -> None:
             read_metashape(path)
 
 
-@pytest.mark.parametrize(
-    "backend",
-    [
-        pytest.param(
-            "colmap", marks=pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
-        ),
-        pytest.param(
-            "pycolmap", marks=pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed")
-        ),
-    ],
-)
-def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str) -> None:
-    """The demo station with six of its photos; scale from two points of the demo's own model."""
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path) -> None:
+    """The demo station with six of its photos; scale from two points of the demo's own model. With pycolmap: test_control.py."""
     station, used = demo_with_photos(tmp_path / "station")
     truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
-    options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}")
-    # The steps after the cameras are the same for both backends: the second sweep is tested with one of them.
-    options += QUICK_WORDS if backend == "colmap" else ("--set", "sweep.again=false")
+    options = ("--set", "photos.max_features=1500", "--set", "photos.backend=colmap", *QUICK_WORDS)
     options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)
     assert outcome.code == 0, outcome
     model = _core.ColmapModel.read(str(tmp_path / "work" / "prior" / "colmap" / "model")).images()
     assert set(used) <= set(model)
     log = (tmp_path / "work" / "prior" / "colmap" / "features.log").read_text()
-    assert ("pycolmap_driver" in log) == (backend == "pycolmap")
+    assert "pycolmap_driver" not in log
 
     def centers(images: dict[str, tuple[package.photogrammetry.RegisteredImage, int, int]]) -> np.ndarray:
         return np.array([-np.array(images[n][0][4]).T @ images[n][0][5] for n in used])  # type: ignore[index]
