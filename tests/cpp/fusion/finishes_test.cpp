@@ -67,6 +67,8 @@ RefineReport report_of_bowl(bool two_finishes) {
   const SyntheticStation station = bowl(two_finishes, model);
   RefineOptions options = quick();
   options.surroundings_iterations = 1;
+  options.more_iterations = 0;
+  options.correct_index = false;
   return refine(station.state, station.prior, {}, options, Context{}).report;
 }
 

@@ -348,6 +348,7 @@ TEST(Surroundings, AnUnknownIndexIsNotEstimatedTogetherWithAMap) {
   input.refractive_index.reset();
   RefineOptions options = quick();
   options.surroundings_iterations = 1;
+  options.more_iterations = 0;
   const RefineResult result = refine(station.state, station.prior, input, options, Context{});
   ASSERT_TRUE(result.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_EQ(result.report.reflection.eta, 1.5);
