@@ -46,7 +46,7 @@ MARK = re.compile(r"<!-- (run by|read as)( a part of)? (\S+) -->\n\n```(\w+)\n(.
 def prepare(kind: str, target: Path) -> None:
     """Make the folder that a page begins with from the example station."""
     if kind == "examples/relief without station.toml":
-        cut_out(target, TINY_WINDOW, TINY_PATCH)  # large enough to test the commands
+        cut_out(target, WINDOW, PATCH)  # large enough to test the commands
         (target / "station.toml").unlink()
         return
     if kind.startswith("examples/"):
