@@ -53,11 +53,20 @@ LONGEST_FIRST = (
     "test_object.py",
     "test_pipeline.py",
     "test_studio.py",
-    "test_studio_in_haste.py",
     "test_docs.py",
+    "test_paper.py",
     "test_batch.py",
+    "test_polarizer.py",
     "test_control.py",
+    "test_report.py",
+    "test_archive.py",
+    "test_exports.py",
+    "test_registration.py",
+    "test_synthetic.py",
+    "test_mosaic.py",
+    "test_evidence.py",
     "test_object_reference.py",
+    "test_studio_in_haste.py",
 )
 
 
@@ -92,12 +101,15 @@ def malus(*arguments: str | Path, **options: object) -> Outcome:
 
 
 def malus_here(*arguments: str | Path) -> Outcome:
-    """Run `malus …` within this process, for short commands: starting a program takes longer than most of them."""
+    """Run `malus …` within this process: starting a program takes longer than most commands."""
     from malus import cli
 
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = cli.main([str(word) for word in arguments])
+        try:
+            code = cli.main([str(word) for word in arguments])
+        except SystemExit as end:  # after --help and --version
+            code = int(end.code or 0)
     return Outcome(code, out.getvalue(), err.getvalue())
 
 
@@ -220,17 +232,22 @@ to = [{x1 - x0 - 10}, {(y1 - y0) // 2}]
     )
 
 
-@pytest.fixture
-def pair(small_station_source: Path, tmp_path: Path) -> Path:
+def write_pair(source: Path, folder: Path) -> Path:
     """An object file with two copies of one station, whose surfaces therefore agree everywhere."""
     for k in range(2):
-        shutil.copytree(small_station_source, tmp_path / f"o{k}")
-    file = tmp_path / "object.toml"
+        shutil.copytree(source, folder / f"o{k}")
+    file = folder / "object.toml"
     file.write_text(
         '[object]\nname = "pair"\nstations = ["o0/station.toml", "o1/station.toml"]\nclosed = false\nreport = false\nfaces = 3000\n'
         '[options]\nfusion = "grid"\n[options.prior]\nsmoothing_px = 4\n[options.height]\niterations = 2\n'
     )
     return file
+
+
+@pytest.fixture
+def pair(small_station_source: Path, tmp_path: Path) -> Path:
+    """The object file of a pair of one's own."""
+    return write_pair(small_station_source, tmp_path)
 
 
 @pytest.fixture(scope="session")
@@ -289,6 +306,14 @@ def small_station(small_station_source: Path, tmp_path: Path) -> Path:
     """A private copy of the small station's file, for tests that change it."""
     folder = tmp_path / "station"
     shutil.copytree(small_station_source, folder)
+    return folder / "station.toml"
+
+
+@pytest.fixture
+def tiny_station(tiny_station_source: Path, tmp_path: Path) -> Path:
+    """The same of the tiny station, for tests that do not check the surface."""
+    folder = tmp_path / "station"
+    shutil.copytree(tiny_station_source, folder)
     return folder / "station.toml"
 
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
+from conftest import malus_here
 from malus import albedo, rti, synthetic
 
 
@@ -74,17 +74,17 @@ def test_mirrored_share_matches_the_rendering(dates: tuple[Path, Path], truth: s
 
 
 def test_textures_can_have_the_albedo(dates: tuple[Path, Path], tmp_path: Path, finished_grid: Path) -> None:
-    told = run_malus("export", dates[0], "--format", "obj", "--albedo", "-o", tmp_path / "a.obj")
+    told = malus_here("export", dates[0], "--format", "obj", "--albedo", "-o", tmp_path / "a.obj")
     assert told.code == 0, told.err
     malus.export(dates[0], "obj", tmp_path / "b.obj")
     own, photograph = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in "ab")
     assert own.shape == photograph.shape and np.abs(own - photograph).mean() > 3
-    told = run_malus("export", finished_grid, "--format", "obj", "--albedo")
+    told = malus_here("export", finished_grid, "--format", "obj", "--albedo")
     assert told.code == 3 and "--fusion refined" in told.err
-    told = run_malus("export", dates[0], "--format", "stl", "--albedo")
+    told = malus_here("export", dates[0], "--format", "stl", "--albedo")
     assert told.code == 2 and "--albedo is for obj" in told.err
     # A IIIF folder has both the photograph and the albedo, each under its own name.
-    told = run_malus("export", dates[0], "--format", "iiif", "--albedo")
+    told = malus_here("export", dates[0], "--format", "iiif", "--albedo")
     assert told.code == 2 and "not for iiif" in told.err
 
 

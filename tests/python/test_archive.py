@@ -15,8 +15,7 @@ import pytest
 import tifffile
 
 import malus
-from conftest import edit
-from conftest import malus as run_malus
+from conftest import edit, malus_here
 from malus.archive import _inputs
 
 bagit = pytest.importorskip("bagit")
@@ -27,7 +26,7 @@ rocrate = pytest.importorskip("rocrate.rocrate")
 def bag(finished_grid: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The unpacked bag."""
     folder = tmp_path_factory.mktemp("archive")
-    outcome = run_malus("export", finished_grid, "--format", "archive", "-o", folder / "a.zip")
+    outcome = malus_here("export", finished_grid, "--format", "archive", "-o", folder / "a.zip")
     assert outcome.code == 0, outcome.err
     with zipfile.ZipFile(folder / "a.zip") as file:
         file.extractall(folder)
@@ -87,15 +86,15 @@ def test_archive_has_catalog_entries_and_paradata(bag: Path, finished_grid: Path
     assert known["#OpenCV"]["softwareVersion"].startswith("4.")
 
 
-def test_names_are_escaped_in_addresses_only(small_station: Path, tmp_path: Path) -> None:
+def test_names_are_escaped_in_addresses_only(tiny_station: Path, tmp_path: Path) -> None:
     """Notes on a photograph had its name, with blanks, in their address, which JSON-LD does not allow."""
-    folder = small_station.parent / "pol"
+    folder = tiny_station.parent / "pol"
     photograph = folder / "Büste 1.tif"
     model = (272, "s", 0, "Camera One", True)
     tifffile.imwrite(photograph, tifffile.imread(folder / "pol_000.tif"), extratags=[model])
-    edit(small_station, "pol/pol_000.tif", "pol/Büste 1.tif")
+    edit(tiny_station, "pol/pol_000.tif", "pol/Büste 1.tif")
     work = tmp_path / "work"
-    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    malus.reconstruct(malus.Station.load(tiny_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive")) as file:
         file.extractall(tmp_path)
     assert (tmp_path / "small/data/inputs/pol/Büste 1.tif").read_bytes() == photograph.read_bytes()
@@ -107,14 +106,14 @@ def test_names_are_escaped_in_addresses_only(small_station: Path, tmp_path: Path
 
 
 def test_changed_or_missing_inputs_are_refused(
-    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    work, image = tmp_path / "work", small_station.parent / "pol/pol_030.tif"
-    (small_station.parent / "camera").mkdir()
-    content = image.rename(small_station.parent / "camera/30.tif").read_bytes()
+    work, image = tmp_path / "work", tiny_station.parent / "pol/pol_030.tif"
+    (tiny_station.parent / "camera").mkdir()
+    content = image.rename(tiny_station.parent / "camera/30.tif").read_bytes()
     image.symlink_to("../camera/30.tif")
     os.utime(image, (0, 0))  # as from a camera whose clock was never set; dates in ZIP begin in 1980
-    malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
+    malus.reconstruct(malus.Station.load(tiny_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive", tmp_path / "a.zip")) as file:
         assert file.read("small/data/inputs/pol/pol_030.tif") == content, "what the link leads to"
 
@@ -128,12 +127,12 @@ def test_changed_or_missing_inputs_are_refused(
     with pytest.raises(malus.InputError, match=r"pol_000\.tif: was changed while it was packed"):
         malus.export(work, "archive")
     (image.parent / "pol_000.tif").write_bytes(first)
-    said = small_station.read_text()
-    edit(small_station, 'unit = "mm"', 'unit = "m"')
+    said = tiny_station.read_text()
+    edit(tiny_station, 'unit = "mm"', 'unit = "m"')
     with pytest.raises(malus.InputError, match=r"station\.toml: was changed since"):
         malus.export(work, "archive")
-    small_station.write_text(said)
-    cloud = small_station.parent / "dense/cloud.ply"
+    tiny_station.write_text(said)
+    cloud = tiny_station.parent / "dense/cloud.ply"
     content = cloud.read_bytes()
     cloud.write_bytes(content + b" ")
     with pytest.raises(malus.InputError, match=r"cloud\.ply: was changed since"):
@@ -144,17 +143,17 @@ def test_changed_or_missing_inputs_are_refused(
     assert not list(work.glob("export/**/*"))
 
 
-def test_a_changed_object_description_recomputes_nothing(small_station: Path, tmp_path: Path) -> None:
+def test_a_changed_object_description_recomputes_nothing(tiny_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    assert malus_here("run", tiny_station, "-o", work, "--fusion", "grid").code == 0
     before = malus.Workspace(work).manifest["times"]
-    edit(small_station, 'maker = "unknown mason"', 'maker = "Phidias"')
-    assert run_malus("run", small_station, "-o", work, "--fusion", "grid").code == 0
+    edit(tiny_station, 'maker = "unknown mason"', 'maker = "Phidias"')
+    assert malus_here("run", tiny_station, "-o", work, "--fusion", "grid").code == 0
     after = malus.Workspace(work)
     assert after.quality["object"]["maker"] == "Phidias"
     assert after.manifest["times"]["fuse"] == before["fuse"]
-    edit(small_station, "maker =", "makr =")
-    outcome = run_malus("check", small_station)
+    edit(tiny_station, "maker =", "makr =")
+    outcome = malus_here("check", tiny_station)
     assert outcome.code == 2 and "[object].makr" in outcome.err and "maker" in outcome.err
 
 

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import pytest
 
 import malus.batch
-from conftest import edit, half_written, needs_distributed
+from conftest import edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
 from malus._files import read_record, write_record
 from malus.campaign import Campaign, Task
@@ -78,7 +78,7 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_a_campaign_reports_its_start_at_once(three: tuple[Path, Path]) -> None:
     file, output = three
-    first = json.loads(run_malus("batch", file, "-o", output, "--json").out.splitlines()[0])
+    first = json.loads(malus_here("batch", file, "-o", output, "--json").out.splitlines()[0])
     assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
 
 
@@ -115,17 +115,25 @@ def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Pat
     assert malus.batch.failure(outcomes) is None
 
 
-def test_shards_together_equal_one_run(tiny_station_source: Path, tmp_path: Path) -> None:
-    file = campaign_of(tmp_path, tiny_station_source, 3)
+@pytest.fixture(scope="module")
+def undisturbed(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
+    """A campaign of three stations, and the results of one run of it."""
+    file = campaign_of(tmp_path_factory.mktemp("undisturbed"), tiny_station_source, 3)
+    assert malus_here("batch", file, "-o", file.parent / "out", "--threads", "1", "--quiet").code == 0
+    return file, results(file.parent / "out")
+
+
+def test_shards_together_equal_one_run(undisturbed: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
+    file, expected = undisturbed
     for index in ("1/2", "2/2"):
-        assert run_malus("batch", file, "-o", tmp_path / "shards", "--shard", index, "--quiet").code == 0
+        shard = ("--shard", index, "--threads", "1", "--quiet")
+        assert malus_here("batch", file, "-o", tmp_path / "shards", *shard).code == 0
         rows = json.loads((tmp_path / "shards/campaign.json").read_text())["stations"]
         assert [row["status"] for row in rows].count("done") == (2 if index == "1/2" else 3)
-    assert run_malus("batch", file, "-o", tmp_path / "serial", "--quiet").code == 0
-    assert results(tmp_path / "shards") == results(tmp_path / "serial")
+    assert results(tmp_path / "shards") == expected
     one, other = (
-        [read_record(path) or {} for path in sorted((tmp_path / name / "done").glob("*.json"))]
-        for name in ("shards", "serial")
+        [read_record(path) or {} for path in sorted((folder / "done").glob("*.json"))]
+        for folder in (tmp_path / "shards", file.parent / "out")
     )
     # An object's quality.json has them in its key, and must be the same for the same inputs.
     assert [marker["manifest"] for marker in one] == [marker["manifest"] for marker in other] and len(one) == 3
@@ -302,7 +310,7 @@ def test_errors_in_campaign_files_are_explained(
     tiny_station_source: Path, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     file = edit(campaign_of(tmp_path, tiny_station_source, 1), old, new)
-    outcome = run_malus("batch", file, "-o", tmp_path / "out")
+    outcome = malus_here("batch", file, "-o", tmp_path / "out")
     assert outcome.code == 2
     assert message in outcome.err and str(file) in outcome.err
     assert "Traceback" not in outcome.err
@@ -318,7 +326,7 @@ def test_shards_from_python_are_checked(tiny_station_source: Path, tmp_path: Pat
 @pytest.mark.parametrize("arguments", [["--shard", "3/2"], ["--shard", "x"], ["--shard", "²/8"], ["--jobs", "0"]])
 def test_wrong_command_lines(tiny_station_source: Path, tmp_path: Path, arguments: list[str]) -> None:
     file = campaign_of(tmp_path, tiny_station_source, 1)
-    outcome = run_malus("batch", file, "-o", tmp_path / "out", *arguments)
+    outcome = malus_here("batch", file, "-o", tmp_path / "out", *arguments)
     assert outcome.code == 2
     assert arguments[0] in outcome.err
 
@@ -447,10 +455,13 @@ def test_a_killed_worker_loses_no_result(tiny_station_source: Path, tmp_path: Pa
 @needs_distributed
 @pytest.mark.filterwarnings("ignore")  # Dask's own warnings while it loses its scheduler
 def test_a_killed_scheduler_is_reported_and_loses_no_result(
-    tiny_station_source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    undisturbed: tuple[Path, dict[str, bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(malus.batch, "_SCHEDULER_TIMEOUT", "5s")
-    campaign = Campaign.load(campaign_of(tmp_path, tiny_station_source, 3))
+    campaign = Campaign.load(undisturbed[0])
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
@@ -484,5 +495,4 @@ def test_a_killed_scheduler_is_reported_and_loses_no_result(
         campaign, tmp_path / "out", threads=1, progress=lambda *told: ended.append(told[2]["station"])
     )
     assert len(set(ended)) == len(ended), "none is run twice"
-    malus.batch.run_campaign(campaign, tmp_path / "serial", threads=1)
-    assert results(tmp_path / "out") == results(tmp_path / "serial")
+    assert results(tmp_path / "out") == undisturbed[1]

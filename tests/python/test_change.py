@@ -16,7 +16,6 @@ import tifffile
 
 import malus
 from conftest import DENT, LATER, LUMP, malus_here
-from conftest import malus as run_malus
 from malus.change import Change
 from malus.change.regions import find_regions
 from malus.change.registration import _from_features, register
@@ -31,7 +30,7 @@ pytest.importorskip("cv2")
 @pytest.fixture(scope="module")
 def outcome(dates: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("compared") / "change"
-    told = run_malus("compare", *dates, "-o", folder, "--threads", "2")
+    told = malus_here("compare", *dates, "-o", folder, "--threads", "2")
     assert told.code == 0, told.err
     return folder, told.out
 

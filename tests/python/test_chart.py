@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 import malus
-from conftest import malus as run_malus
+from conftest import malus_here
 from malus import chart, synthetic
 
 with np.printoptions():  # its import changes how numpy prints numbers for all tests that follow
@@ -50,7 +50,7 @@ def photograph(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarr
 def test_the_cameras_colors_are_found(photograph: tuple[Path, np.ndarray], tmp_path: Path, given: bool) -> None:
     path, corners = photograph
     extra = ["--corners", ",".join(f"{x:.1f}" for x in corners.ravel())] if given else []
-    told = run_malus("chart", path, "-o", tmp_path / "chart.json", *extra)
+    told = malus_here("chart", path, "-o", tmp_path / "chart.json", *extra)
     assert told.code == 0, told.err
     assert "CIEDE2000" in told.out
     found = chart.ColorCorrection.load(tmp_path / "chart.json")
@@ -68,7 +68,7 @@ def test_unusable_charts_are_refused(photograph: tuple[Path, np.ndarray], tmp_pa
         with pytest.raises(malus.InputError, match="lies beside the image"):
             chart.measure_chart(path, corners=(corners + beside).ravel().tolist())
     tifffile.imwrite(tmp_path / "plain.tif", np.full((200, 300, 3), 30000, np.uint16))
-    told = run_malus("chart", tmp_path / "plain.tif", "-o", tmp_path / "c.json")
+    told = malus_here("chart", tmp_path / "plain.tif", "-o", tmp_path / "c.json")
     assert told.code == 3 and "no ColorChecker was found" in told.err and not (tmp_path / "c.json").exists()
     tifffile.imwrite(tmp_path / "gray.tif", np.full((200, 300), 30000, np.uint16))
     with pytest.raises(malus.InputError, match="taken in gray"):
@@ -85,10 +85,10 @@ def test_textures_are_corrected_by_the_chart(tmp_path: Path) -> None:
         gray = np.asarray(Image.open(path)).astype(float)
         tifffile.imwrite(path, np.rint(gray[..., None] * (CAMERA @ paint)).astype(np.uint16), photometric="rgb")
     work = tmp_path / "work"
-    assert run_malus("run", station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    assert malus_here("run", station, "-o", work, "--fusion", "grid", "--quiet").code == 0
     correction = chart.ColorCorrection(np.linalg.inv(CAMERA), np.zeros(24), np.zeros(24), np.zeros((4, 2)), "here")
     file = correction.save(tmp_path / "chart.json")
-    told = run_malus("export", work, "--format", "obj", "--chart", file, "-o", tmp_path / "a.obj")
+    told = malus_here("export", work, "--format", "obj", "--chart", file, "-o", tmp_path / "a.obj")
     assert told.code == 0, told.err
     path = tmp_path / "a.png"
     with Image.open(path) as image:

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 
 import malus
-from conftest import malus as run_malus
 from conftest import malus_here, run_program
 from malus import cli, progress
 from malus.options import MAIN
@@ -154,7 +153,7 @@ def test_closing_lines_of_a_surface_that_lies_nowhere_near_its_reference(finishe
 
 
 def test_missing_convergence_is_explained_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
-    outcome = run_malus(
+    outcome = malus_here(
         "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",
         "--set", "height.iterations=1", "--set", "optimize.enabled=true",
     )  # fmt: skip
@@ -168,7 +167,7 @@ def test_missing_convergence_is_explained_in_plain_words(small_station_source: P
 
 def test_main_options_are_a_dozen_of_all() -> None:
     listed = [
-        line.split(" = ")[0] for line in run_malus("options", "--main").out.splitlines() if not line.startswith(" ")
+        line.split(" = ")[0] for line in malus_here("options", "--main").out.splitlines() if not line.startswith(" ")
     ]
     assert sorted(listed) == sorted(MAIN) and len(listed) == 12
 
@@ -192,13 +191,13 @@ def test_errors_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatc
 
 
 def test_results_are_not_written_among_the_inputs(small_station: Path) -> None:
-    outcome = run_malus("run", small_station, "-o", small_station.parent)
+    outcome = malus_here("run", small_station, "-o", small_station.parent)
     assert outcome.code == 2 and "station_work" in outcome.err
     assert not (small_station.parent / "manifest.json").exists()
 
 
 def test_single_steps_list_the_files_they_wrote(finished_grid: Path, small_station: Path, tmp_path: Path) -> None:
-    outcome = run_malus("decompose", small_station, "-o", tmp_path / "work")
+    outcome = malus_here("decompose", small_station, "-o", tmp_path / "work")
     assert outcome.code == 0, outcome.err
     assert "polarization/degree.tif" in outcome.out and "polarization/zenith.tif" in outcome.out
 
@@ -245,7 +244,7 @@ def test_misspelled_words_get_a_suggestion() -> None:
 
 def test_help_has_no_equation_or_figure_numbers() -> None:
     for command in ((), ("fuse",), ("height",), ("decompose",)):
-        assert not re.search(r"\b(Eq|Fig)\b", run_malus(*command, "--help").out)
+        assert not re.search(r"\b(Eq|Fig)\b", malus_here(*command, "--help").out)
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_a_station_takes_its_pose_from_its_control_points(
     assert outcome.code == 0 and "position of the camera from 5 control points" in outcome.out
 
     work = tmp_path / "work"
-    outcome = malus("run", path, "-o", work, "--fusion", "grid", "--threads", "2")
+    outcome = malus_here("run", path, "-o", work, "--fusion", "grid", "--threads", "2")
     assert outcome.code == 0, outcome.err
     control = json.loads((work / "quality.json").read_text())["control"]
     assert control["datum"] is None
@@ -209,18 +209,22 @@ def test_too_few_control_points_are_reported_before_photos_are_matched(tmp_path:
     station.write_text(station.read_text().split("[[scale]]")[0] + "\n".join(lines))
     expected = "[[control]]: 2 points without check = true are marked in two photos or more, expected at least 3"
     for command in (("check", station), ("run", station, "-o", tmp_path / "work")):
-        outcome = malus(*command)
+        outcome = malus_here(*command)
         assert outcome.code == 2 and expected in " ".join(outcome.err.split()), outcome
     assert not list((tmp_path / "work").rglob("database.db"))
     station.write_text(station.read_text().replace("check = true\n", ""))
-    assert "frame and size from 3 control points" in malus("check", station).out
+    assert "frame and size from 3 control points" in malus_here("check", station).out
 
 
 @pytest.mark.skipif(
     shutil.which("colmap") is None and find_spec("pycolmap") is None, reason="neither COLMAP nor pycolmap is installed"
 )
 def test_photos_of_a_station_take_the_frame_of_its_control_points(tmp_path: Path) -> None:
-    """The demo station with points of its own model, whose known coordinates are in a rotated and moved frame."""
+    """The demo station with points of its own model, whose known coordinates are in a rotated and moved frame.
+
+    With pycolmap where it is installed: what follows the cameras is the same for both. With COLMAP: test_photos.py.
+    """
+    backend = "colmap" if find_spec("pycolmap") is None else "pycolmap"
     station, used = demo_with_photos(tmp_path / "station")
     cameras, points = model_and_points(EXAMPLE / "sparse")
     marked = {name: cameras[name] for name in used}
@@ -230,11 +234,18 @@ def test_photos_of_a_station_take_the_frame_of_its_control_points(tmp_path: Path
         marks = ", ".join(f'{{ image = "{mark["image"]}", x = {mark["x"]}, y = {mark["y"]} }}' for mark in entry["marks"])  # fmt: skip
         lines.append(f'[[control]]\nname = "{entry["name"]}"\nxyz = {entry["xyz"]}\nmarks = [{marks}]\n')
     station.write_text(station.read_text().split("[[scale]]")[0] + "\n".join(lines))
-    options = ("--set", "photos.max_features=1500", "--set", "sweep.again=false", "--threads", str(os.cpu_count() or 1))
+    options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}", "--set", "sweep.again=false")
+    options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)
     assert outcome.code == 0, outcome
+    log = (tmp_path / "work" / "prior" / "colmap" / "features.log").read_text()
+    assert ("pycolmap_driver" in log) == (backend == "pycolmap")
     model = SparseModel.read(tmp_path / "work" / "prior" / "colmap" / "model")
+    assert set(used) <= set(model.images)
     distance = np.linalg.norm(-np.array(cameras[used[0]].pose()[0]).T @ cameras[used[0]].pose()[1] - points[0])
     for name in used:
         centers = [-camera.pose()[0].T @ camera.pose()[1] for camera in (cameras[name], model.images[name].camera)]
         assert np.linalg.norm(turn @ centers[0] + [500, 0, 0] - centers[1]) < 1e-3 * distance
+    again = malus_here("prior", station, "-o", tmp_path / "work", *options, "--json")
+    steps = [json.loads(line) for line in again.out.splitlines()]
+    assert any(step.get("message") == "kept from an earlier run" and step["step"] == "prior" for step in steps)

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from PIL import Image, ImageCms, PngImagePlugin
 
-from conftest import edit, malus
+from conftest import edit, malus_here
 from malus.encoding import doubts, encoding_of
 
 PIXELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
@@ -115,16 +115,16 @@ def with_profile(small_station: Path) -> Path:
 
 
 def test_check_reports_a_contradicting_profile(with_profile: Path, tmp_path: Path) -> None:
-    outcome = malus("check", with_profile, cwd=tmp_path)
+    outcome = malus_here("check", with_profile)
     assert outcome.code == 0, outcome.err
     assert "images are encoded for a display according to their files" in outcome.out
     edit(with_profile, "[polarized]", '[polarized]\nresponse = "gamma:2.2"')
-    assert "encoded for a display" not in malus("check", with_profile, cwd=tmp_path).out
+    assert "encoded for a display" not in malus_here("check", with_profile).out
 
 
 def test_a_profile_does_not_overrule_the_response_found_in_the_images(with_profile: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    outcome = malus("run", with_profile, "-o", work, "--fusion", "grid")
+    outcome = malus_here("run", with_profile, "-o", work, "--fusion", "grid")
     assert outcome.code == 0, outcome.err
     findings = (work / "evidence/findings.json").read_text()
     assert "images are encoded for a display according to their files" in findings

@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 import malus
-from conftest import ROOT
-from malus import Camera, _core, evidence, polarization, synthetic
+from malus import Camera, evidence, polarization, synthetic
 
 
 @pytest.fixture(scope="module")
@@ -134,23 +132,3 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
 def test_wrong_shapes(state: polarization.PolarizationState, camera: Camera, call: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call(state, camera)  # type: ignore[operator]
-
-
-def test_the_coins_rim_is_refined_though_its_prior_explains_little_there() -> None:
-    """At the rim's step and the beads the cloud's slopes are wrong; elsewhere on the coin they support mirror reflection."""
-    folder = ROOT / "examples" / "coin"
-    result = malus.reconstruct(malus.Station.load(folder / "station.toml"), until="fuse")
-    truth = np.asarray(_core.read_raster(str(folder / "truth/depth.tif")), float)
-    gsd = float(np.nanmedian(truth)) / result.camera.params[0]
-
-    def detail_rms(depth: np.ndarray) -> float:
-        """RMS of the depth's error without low frequencies (Gaussian of 8 px), 8 px inside the object, in GSD."""
-        error = (np.asarray(depth, float) - truth) / gsd
-        inside = ndimage.binary_erosion(np.isfinite(error), iterations=8)
-        error = np.where(inside, error - np.nanmedian(error[inside]), 0.0)
-        low = ndimage.gaussian_filter(error, 8) / np.maximum(ndimage.gaussian_filter(inside.astype(float), 8), 1e-6)
-        return float(np.sqrt(np.mean((error - low)[inside] ** 2)))
-
-    # Measured: .19. With only what the prior's slopes explain at each place: .37. The prior itself: .53.
-    assert detail_rms(result.depth) < 0.25 < 0.5 < detail_rms(result.prior_depth)
-    assert result.confidence.level == "partial", "what the prior's slopes do not confirm is not certain"

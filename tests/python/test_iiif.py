@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
+from conftest import malus_here
 from malus import exports, iiif
 
 
@@ -40,7 +40,7 @@ def test_tiles_of_every_scale_make_up_the_picture(tmp_path: Path) -> None:
 
 def test_manifest_is_readable_by_another_library(finished_grid: Path, tmp_path: Path) -> None:
     prezi = pytest.importorskip("iiif_prezi3")
-    told = run_malus(
+    told = malus_here(
         "export", finished_grid, "--format", "iiif", "--url", "https://x.org/iiif/s/", "-o", tmp_path / "s"
     )
     assert told.code == 0, told.err

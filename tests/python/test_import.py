@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
 from conftest import malus_here
 
 
@@ -36,7 +35,7 @@ def folder(tmp_path: Path) -> Path:
 def test_angles_in_names_in_natural_order(folder: Path, tmp_path: Path) -> None:
     for name in ("vase_pol0.png", "vase_pol60.png", "vase_pol120.png", "mask.png"):
         image(folder / name)
-    outcome = run_malus("import", folder, "-o", tmp_path / "station.toml")
+    outcome = malus_here("import", folder, "-o", tmp_path / "station.toml")
     assert outcome.code == 0, outcome.err
     content = polarized(tmp_path / "station.toml")
     assert content["images"] == ["shots/vase_pol0.png", "shots/vase_pol60.png", "shots/vase_pol120.png"]
@@ -76,12 +75,12 @@ def test_angles_may_begin_with_a_negative_one(folder: Path) -> None:
 def test_file_numbers_are_not_taken_for_angles(folder: Path) -> None:
     for number in (123, 124, 125, 9, 10):
         image(folder / f"IMG_{number:04d}.png")
-    outcome = run_malus("import", folder, "-o", folder / "station.toml")
+    outcome = malus_here("import", folder, "-o", folder / "station.toml")
     assert outcome.code == 2
     assert "IMG_0009.png, IMG_0010.png, IMG_0123.png" in outcome.err
     assert "--angles" in outcome.err
     assert not (folder / "station.toml").exists()
-    outcome = run_malus("import", folder, "-o", folder / "station.toml", "--angles", "0,36,72,108,144")
+    outcome = malus_here("import", folder, "-o", folder / "station.toml", "--angles", "0,36,72,108,144")
     assert outcome.code == 0, outcome.err
     content = polarized(folder / "station.toml")
     assert dict(zip(content["images"], content["angles_deg"], strict=True)) == {
@@ -153,7 +152,7 @@ def test_hidden_files_are_not_read(folder: Path) -> None:
 
 def test_mosaic(folder: Path, tmp_path: Path) -> None:
     image(folder / "scene.png")
-    outcome = run_malus("import", folder, "-o", tmp_path / "s.toml", "--mosaic", "90,45,135,0", "--colors", "RGGB")
+    outcome = malus_here("import", folder, "-o", tmp_path / "s.toml", "--mosaic", "90,45,135,0", "--colors", "RGGB")
     assert outcome.code == 0, outcome.err
     content = polarized(tmp_path / "s.toml")
     assert content["mosaic"] == [[90, 45], [135, 0]]
@@ -177,7 +176,7 @@ def test_camera_and_cloud_of_a_metashape_project(folder: Path, tmp_path: Path) -
     project.write_text(METASHAPE)
     (folder / "cloud.ply").write_text("ply\n")
     station = folder / "station.toml"
-    outcome = run_malus(
+    outcome = malus_here(
         "import", folder, "-o", station, "--metashape", project, "--label", "shot_0", "--cloud", folder / "cloud.ply",
         "--unit", "m", "--angles", "0,60,120",
     )  # fmt: skip

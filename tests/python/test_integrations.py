@@ -128,7 +128,7 @@ def meshroom(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_meshroom_node_runs_in_a_folder_of_meshroom(
-    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meshroom: None
+    tiny_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meshroom: None
 ) -> None:
     # Load the node as Meshroom does: packages below a folder of MESHROOM_NODES_PATH, and the modules in them.
     nodes = tmp_path / "nodes"
@@ -140,7 +140,7 @@ def test_meshroom_node_runs_in_a_folder_of_meshroom(
     assert [name for _, name, is_package in pkgutil.walk_packages([str(nodes)]) if is_package] == ["malus_nodes"]
     node = importlib.import_module("malus_nodes.meshroom_malus").MalusReconstruction
     values = {parameter.name: parameter.value for parameter in [*node.inputs, *node.outputs]}
-    values |= {"station": str(small_station), "fusion": "grid"}
+    values |= {"station": str(tiny_station), "fusion": "grid"}
     # Meshroom's own files are in the node's folder before the program starts.
     cache = tmp_path / "a cache" / "MalusReconstruction" / "1234"
     cache.mkdir(parents=True)

@@ -12,7 +12,6 @@ import pytest
 import tifffile
 
 import malus
-from conftest import malus as run_malus
 from conftest import malus_here
 from malus import m3c2
 
@@ -107,7 +106,7 @@ def test_distances_without_a_limit_are_not_called_insignificant() -> None:
 
 
 def test_m3c2_without_a_reference_is_refused(small_station: Path, tmp_path: Path) -> None:
-    outcome = run_malus("assess", small_station, "-o", tmp_path / "work", "--m3c2")
+    outcome = malus_here("assess", small_station, "-o", tmp_path / "work", "--m3c2")
     assert outcome.code == 2 and "--reference" in outcome.err
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from conftest import QUICK, edit
 
 CELL_DEG = (90, 45, 135, 0)
 SIX_DEG = (0, 30, 60, 90, 120, 150)
+OPTIONS = malus.Options(refine=QUICK)
 IMAGES = (
     "images = [" + ", ".join(f'"pol/pol_{a:03d}.tif"' for a in SIX_DEG) + "]\nangles_deg = [0, 30, 60, 90, 120, 150]"
 )
@@ -44,44 +46,52 @@ def normals_off_deg(result: malus.Result, other: malus.Result) -> float:
     return float(np.degrees(np.nanmedian(np.arccos(np.clip((result.normals * other.normals).sum(-1), -1, 1)))))
 
 
-@pytest.fixture
-def mosaic_station(small_station: Path) -> Path:
-    folder = small_station.parent
+@pytest.fixture(scope="module")
+def mosaic_station(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small station as a mosaic; read it, do not change it."""
+    folder = shutil.copytree(small_station_source, tmp_path_factory.mktemp("mosaic") / "station")
     channels = polarizer_images(folder)
     write(folder / "mosaic.tif", np.take_along_axis(channels, place(channels.shape[1:])[None], 0)[0])
-    copy = folder / "mosaic.toml"
-    copy.write_text(small_station.read_text())
+    copy = shutil.copy(folder / "station.toml", folder / "mosaic.toml")
     return edit(copy, IMAGES, 'images = ["mosaic.tif"]\nmosaic = [[90, 45], [135, 0]]')
 
 
-def test_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path, tmp_path: Path) -> None:
-    options = malus.Options(refine=QUICK)
-    six = malus.reconstruct(malus.Station.load(small_station), options, threads=2)
-    warnings: list[str] = []
-    station = malus.Station.load(mosaic_station)
-    mosaic = malus.reconstruct(
-        station, options, workspace=tmp_path / "w", threads=2, log=lambda _, text: warnings.append(text)
+@pytest.fixture(scope="module")
+def mosaic(mosaic_station: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[malus.Result, Path, list[str]]:
+    """The mosaic's surface, its workspace and the log of its run."""
+    work, said = tmp_path_factory.mktemp("surface") / "w", []
+    result = malus.reconstruct(
+        malus.Station.load(mosaic_station), OPTIONS, workspace=work, threads=2, log=lambda _, text: said.append(text)
     )
-    assert mosaic.depth is not None and mosaic.depth.shape == (160, 200) and mosaic.quality is not None
-    assert mosaic.quality["coverage"]["fraction"] > 0.99
+    return result, work, said
+
+
+def test_mosaic_becomes_a_surface(
+    small_station_source: Path, mosaic_station: Path, mosaic: tuple[malus.Result, Path, list[str]]
+) -> None:
+    six = malus.reconstruct(malus.Station.load(small_station_source / "station.toml"), OPTIONS, threads=2)
+    surface, work, said = mosaic
+    assert surface.depth is not None and surface.depth.shape == (160, 200) and surface.quality is not None
+    assert surface.quality["coverage"]["fraction"] > 0.99
     # Measured: 5.3°.
-    assert normals_off_deg(mosaic, six) < 7
+    assert normals_off_deg(surface, six) < 7
     # Carved, painted stone: hardly polarized, and its texture is finer than the cells.
-    assert any("texture finer than the mosaic's cells" in text for text in warnings)
+    assert any("texture finer than the mosaic's cells" in text for text in said)
     # The interpolation's estimated errors survive on disk.
-    (tmp_path / "w/fused/depth.tif").unlink()
-    again = malus.reconstruct(station, options, workspace=tmp_path / "w", threads=2)
-    np.testing.assert_array_equal(again.depth, mosaic.depth)
+    (work / "fused/depth.tif").unlink()
+    again = malus.reconstruct(malus.Station.load(mosaic_station), OPTIONS, workspace=work, threads=2)
+    np.testing.assert_array_equal(again.depth, surface.depth)
 
 
-def test_color_mosaic_becomes_a_surface(small_station: Path, mosaic_station: Path) -> None:
-    options = malus.Options(refine=QUICK)
-    gray = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
-    path = mosaic_station.parent / "mosaic.tif"
-    mosaic = tifffile.imread(path).astype(float)
-    v, u = np.indices(mosaic.shape)
+def test_color_mosaic_becomes_a_surface(
+    mosaic_station: Path, mosaic: tuple[malus.Result, Path, list[str]], tmp_path: Path
+) -> None:
+    station = shutil.copytree(mosaic_station.parent, tmp_path / "station") / mosaic_station.name
+    path = station.parent / "mosaic.tif"
+    gray = tifffile.imread(path).astype(float)
+    v, u = np.indices(gray.shape)
     tint = np.array([[0.9, 1.0], [1.0, 0.7]])[v // 2 % 2, u // 2 % 2]
-    write(path, mosaic * tint)
-    edit(mosaic_station, "mosaic = [[", 'mosaic_colors = "RGGB"\nmosaic = [[')
-    color = malus.reconstruct(malus.Station.load(mosaic_station), options, threads=2)
-    assert normals_off_deg(color, gray) < 1
+    write(path, gray * tint)
+    edit(station, "mosaic = [[", 'mosaic_colors = "RGGB"\nmosaic = [[')
+    color = malus.reconstruct(malus.Station.load(station), OPTIONS, threads=2)
+    assert normals_off_deg(color, mosaic[0]) < 1

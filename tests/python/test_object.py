@@ -24,7 +24,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from conftest import EXAMPLE, demo_with_photos, edit, half_written, malus_here, needs_distributed
+from conftest import EXAMPLE, Outcome, demo_with_photos, edit, half_written, malus_here, needs_distributed, write_pair
 from conftest import malus as run_malus
 from malus import Camera, DataError, ExternalError, InputError, Options, Progress, Station, reconstruct
 from malus._files import write_record
@@ -558,10 +558,21 @@ def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: s
     assert expected in str(caught.value)
 
 
-def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def made(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, bytes]:
+    """A pair, what the command line said as it made the pair's surface in out/, and the mesh that it wrote."""
+    file = write_pair(small_station_source, tmp_path_factory.mktemp("pair"))
+    outcome = run_malus("object", file, "-o", file.parent / "out", "--jobs", "2", "--threads", "1")
+    assert outcome.code == 0, outcome.err
+    return file, outcome, (file.parent / "out/object/mesh.ply").read_bytes()
+
+
+def test_command_line_makes_one_surface_and_does_nothing_twice(
+    made: tuple[Path, Outcome, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the first run to a station that is taken out: the page tells how far stations can be trusted, and forgets that one."""
+    pair, first, _ = made
     output = pair.parent / "out"
-    first = run_malus("object", pair, "-o", output, "--jobs", "2", "--threads", "1")
-    assert first.code == 0, first.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert [row["station"] for row in quality["stations"]] == ["o0", "o1"]
     assert quality["agreement"]["rms_ratio"] < 0.05
@@ -571,9 +582,11 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
     written = (output / "object/mesh.ply").stat().st_mtime_ns
-    again = run_malus("object", pair, "-o", output, "--quiet")
-    assert again.code == 0 and not again.out
+    quiet = malus_here("object", pair, "-o", output, "--quiet")
+    assert quiet.code == 0 and not quiet.out
     assert (output / "object/mesh.ply").stat().st_mtime_ns == written
+    require_told(pair, output, first, quiet)
+    require_scale(output)
     edit(output / "object/quality.json", '"gsd": ', '"gsd": 1')
     monkeypatch.setattr(object_run, "write_record", recorded)
     assert malus_here("object", pair, "-o", output, "--quiet").code == 0
@@ -581,10 +594,12 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(pair: Path, monke
     assert json.loads((output / "object/quality.json").read_text()) == quality
     # A cloud that is replaced while the surface is made, after the stations have been run.
     (output / "object/mesh.ply").write_bytes(b"spoiled")
-    monkeypatch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))
-    outcome = malus_here("object", pair, "-o", output, "--quiet")
+    with monkeypatch.context() as patch:
+        patch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))
+        outcome = malus_here("object", pair, "-o", output, "--quiet")
     assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
     assert not (output / "object/quality.json").exists()
+    require_gone(pair, output)
 
 
 def recorded(path: Path, record: dict[str, Any]) -> None:
@@ -617,16 +632,19 @@ def changing(file: Path, function: Callable[..., Any]) -> Callable[..., Any]:
     return changed
 
 
-def test_broken_station_is_told_and_the_others_are_joined(pair: Path) -> None:
+def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(pair: Path) -> None:
     (pair.parent / "o1/pol/pol_030.tif").write_bytes(b"no image")
     output = pair.parent / "out"
-    outcome = run_malus("object", pair, "-o", output, "--threads", "1")
+    outcome = malus_here("object", pair, "-o", output, "--threads", "1")
     assert outcome.code == 2
     assert "o1" in outcome.err and "pol_030.tif" in outcome.err and "Traceback" not in outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert quality["warnings"][-1].startswith("o1: is not in the surface: ")
     assert [row["status"] for row in quality["stations"]] == ["done", "failed"]
     assert (output / "object/mesh.ply").is_file()
+    page = (output / "object/report/index.html").read_text()
+    assert 'id="o1"' in page and "One surface of 1 station " in page and "No two stations see the same place." in page
+    require_gone(pair, output)
 
 
 def require_gone(pair: Path, output: Path) -> None:
@@ -640,13 +658,10 @@ def require_gone(pair: Path, output: Path) -> None:
     assert "o1" not in (output / "index.html").read_text() + (output / "campaign.csv").read_text()
 
 
-def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_taken_out(pair: Path) -> None:
-    output = pair.parent / "out"
-    outcome = malus_here("object", pair, "-o", output, "--threads", "1")
-    assert outcome.code == 0, outcome.err
+def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> None:
+    """How far stations can be trusted, on the page and by the first run, a quiet one and two others that have nothing to do."""
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
-    quiet = malus_here("object", pair, "-o", output, "--quiet")
     events = [json.loads(line) for line in malus_here("object", pair, "-o", output, "--json").out.splitlines()]
     told = [event["message"] for event in events if event["event"] == "log" and event["level"] == "warning"]
     assert told == [line.removeprefix("warning: ") for line in quiet.err.splitlines()] and told
@@ -666,8 +681,6 @@ def test_the_page_says_how_far_stations_can_be_trusted_and_forgets_one_that_is_t
         assert f"  report: malus view {output / 'object'}" in outcome.out
         assert row.count('<td class="n">') == 6, "numbers stand right"
         assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
-    require_scale(output)
-    require_gone(pair, output)
 
 
 def require_scale(output: Path) -> None:
@@ -717,25 +730,16 @@ def test_maps_on_the_page_are_cut_to_what_they_show_and_have_a_scale(tmp_path: P
     assert shown.bar_label == "10 mm" and shown.bar_percent == pytest.approx(100 * 10 / 54)
 
 
-def test_a_station_that_had_failed_is_forgotten_when_it_is_taken_out(pair: Path) -> None:
-    (pair.parent / "o1/pol/pol_030.tif").write_bytes(b"no image")
-    output = pair.parent / "out"
-    assert malus_here("object", pair, "-o", output, "--threads", "1", "--quiet").code == 2
-    page = (output / "object/report/index.html").read_text()
-    assert 'id="o1"' in page and "One surface of 1 station " in page and "No two stations see the same place." in page
-    require_gone(pair, output)
-
-
 def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:
     output = pair.parent / "out"
-    first = run_malus("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
+    first = malus_here("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
     assert first.code == 0 and "1 of 2 stations are not run yet" in first.out
     assert not (output / "object").exists()
 
 
 @needs_distributed
 @pytest.mark.filterwarnings("ignore")  # Dask's own, while it loses a worker
-def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path, made: tuple[Path, Outcome, bytes]) -> None:
     import distributed
 
     thing = Object.load(pair)
@@ -752,18 +756,16 @@ def test_a_killed_worker_changes_nothing(pair: Path, tmp_path: Path) -> None:
         outcomes = run_object(thing, tmp_path / "cluster", threads=1, scheduler=cluster.scheduler_address)
         killer.join()
     assert [outcome["status"] for outcome in outcomes] == ["done", "done"]
-    run_object(thing, tmp_path / "serial", threads=1)
-    meshes = [(tmp_path / f"{way}/object/mesh.ply").read_bytes() for way in ("cluster", "serial")]
-    assert meshes[0] == meshes[1]
+    assert (tmp_path / "cluster/object/mesh.ply").read_bytes() == made[2]
 
 
 def test_check_lists_every_station(pair: Path) -> None:
-    outcome = run_malus("check", pair, "--threads", "1")
+    outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
     assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
     for name in ("o0", "o1"):
         assert f"station {name} (small): " in outcome.out
-    told = json.loads(run_malus("check", pair, "--json", "--threads", "1").out)
+    told = json.loads(malus_here("check", pair, "--json", "--threads", "1").out)
     assert [plan["station"] for plan in told["stations"]] == ["o0", "o1"]
     seconds = [plan["seconds"] for plan in told["stations"]]
     assert (

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conftest import edit
-from conftest import malus as run_malus
+from conftest import edit, malus_here
 from malus import DataError, InputError, _core
 from malus.object import Object, joined_mesh, page, pieces, reference
 from malus.object.agreement import OrientedPoints
@@ -117,13 +116,13 @@ def test_alignment_brings_a_scan_that_is_nearly_there_onto_the_mesh(mesh: Object
 def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path) -> None:
     """The mesh itself, turned and moved: it is found again; the stations' cloud as it lies; and something else."""
     output = pair.parent / "out"
-    assert run_malus("object", pair, "-o", output, "--quiet").code == 0
+    assert malus_here("object", pair, "-o", output, "--quiet").code == 0
     scan = _core.read_points(str(output / "object/mesh.ply"))
     turn = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
     moved = scan @ turn.T + np.array([400.0, 20, -3])
     write_ply(pair.parent / "scan.ply", {axis: (moved[:, k], "f8") for k, axis in enumerate("xyz")}, None, "")
     edit(pair, "closed = false", 'closed = false\nreference = "scan.ply"')
-    outcome = run_malus("object", pair, "-o", output, "--threads", "1")
+    outcome = malus_here("object", pair, "-o", output, "--threads", "1")
     assert outcome.code == 0, outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     found = quality["reference"]
@@ -140,7 +139,7 @@ def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path) -> None:
     assert "registered.ply" in page
 
     edit(pair, 'reference = "scan.ply"', 'reference = "o0/dense/cloud.ply"\nregister = false')
-    assert run_malus("object", pair, "-o", output, "--quiet").code == 0
+    assert malus_here("object", pair, "-o", output, "--quiet").code == 0
     found = json.loads((output / "object/quality.json").read_text())["reference"]
     assert found["status"] == "done" and "correlation" not in found and found["absolute_median_gsd"] < 1
     assert not (output / "object/reference/registered.ply").exists()
@@ -152,7 +151,7 @@ def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path) -> None:
         "",
     )
     edit(pair, 'reference = "o0/dense/cloud.ply"\nregister = false', 'reference = "scan.ply"')
-    outcome = run_malus("object", pair, "-o", output)
+    outcome = malus_here("object", pair, "-o", output)
     assert outcome.code == 0, outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert "stands out" in quality["reference"]["status"]
@@ -181,7 +180,7 @@ def test_a_reference_that_cannot_be_read_is_said_before_any_work(pair: Path) -> 
     edit(pair, "closed = false", 'reference = "scan.ply"')
     output = pair.parent / "out"
     for command in (("object", pair, "-o", output), ("check", pair)):
-        outcome = run_malus(*command)
+        outcome = malus_here(*command)
         assert outcome.code == 2 and "scan.ply" in outcome.err and "Traceback" not in outcome.err
     assert not (output / "stations").exists()
 

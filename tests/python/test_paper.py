@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import malus
-from conftest import QUICK_WORDS, ROOT, edit, malus_station
+from conftest import QUICK_WORDS, ROOT, edit, malus_here, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
@@ -51,9 +51,9 @@ def test_preset_is_the_method_as_printed() -> None:
     assert (paper.fusion, paper.height.method, paper.height.perspective) == ("grid", "literal", False)
     assert paper.grid.unit_scaling and paper.optimize.enabled and paper.polarizer.calibrate_angles == "off"
     assert list(malus.Options.presets()) == ["paper"]
-    listed = run_malus("options", "--preset", "paper").out
+    listed = malus_here("options", "--preset", "paper").out
     assert 'height.method = "literal"' in listed and 'fusion = "grid"' in listed and "capture." not in listed
-    assert run_malus("options", "--preset").out.startswith("paper\n")
+    assert malus_here("options", "--preset").out.startswith("paper\n")
     with pytest.raises(malus.InputError, match="no preset.*expected one of paper"):
         malus.Options.preset("papers")
 
@@ -156,7 +156,7 @@ def test_sinusoid_plate_has_room_for_all_pixels_that_a_station_may_name() -> Non
 def test_curves_of_chosen_pixels(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, "white_level = 16383", "white_level = 16383\ncurve_pixels = [[10, 20], [150, 140]]")
     work = tmp_path / "work"
-    outcome = run_malus("decompose", small_station, "-o", work, "--threads", "2", "--quiet")
+    outcome = malus_here("decompose", small_station, "-o", work, "--threads", "2", "--quiet")
     assert outcome.code == 0, outcome.err
     curves = malus.Workspace(work).manifest["steps"]["polarization"]["notes"]["curves"]
     assert [(curve["u"], curve["v"]) for curve in curves] == [(10, 20), (150, 140)]
@@ -175,11 +175,11 @@ def test_invalid_pixels_are_named(small_station: Path, tmp_path: Path) -> None:
         (["1,1", "9999,0"], "pixel [9999, 0]: expected pixels within the polarized image of"),
         (["1,1"] * 9, "expected at most 8"),
     ):
-        outcome = run_malus("paper", small_station, "-o", tmp_path / "work", "--pixels", *words)
+        outcome = malus_here("paper", small_station, "-o", tmp_path / "work", "--pixels", *words)
         assert outcome.code == 2 and said in " ".join(outcome.err.split()), outcome.err
     with_campaign = ("paper", "--campaign", tmp_path, "-o", tmp_path / "all")
     for words in (("--pixels", "1,1"), ("--reference", tmp_path / "scan.ply"), ("--set", "grid.grid_px=8")):
-        outcome = run_malus(*with_campaign, *words)
+        outcome = malus_here(*with_campaign, *words)
         assert outcome.code == 2 and f"{words[0]}: --campaign merges finished workspaces" in " ".join(
             outcome.err.split()
         ), outcome.err
@@ -290,14 +290,14 @@ def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
 
 
 def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
-    outcome = run_malus("paper", "--campaign", paper_work, paper_work, "-o", tmp_path / "all")
+    outcome = malus_here("paper", "--campaign", paper_work, paper_work, "-o", tmp_path / "all")
     assert outcome.code == 0, outcome.err
     with (tmp_path / "all/table_2.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2
     assert "| --- |" in (tmp_path / "all/table_1.md").read_text()
-    neither = run_malus("paper", "-o", tmp_path / "none")
+    neither = malus_here("paper", "-o", tmp_path / "none")
     assert neither.code == 2 and "either STATION.toml or --campaign" in neither.err
-    missing = run_malus("paper", "--campaign", tmp_path / "all", "-o", tmp_path / "none")
+    missing = malus_here("paper", "--campaign", tmp_path / "all", "-o", tmp_path / "none")
     assert missing.code == 2
 
 
@@ -526,21 +526,20 @@ def cloud_scaled(folder: Path, factor: float) -> None:
 def test_scale_of_a_given_cloud(small_station: Path, tmp_path: Path) -> None:
     """With a known distance, a cloud in an unknown unit gives the same prior as the metric cloud."""
 
-    def findings(name: str) -> dict[str, tuple[str, str]]:
+    def prior_and_findings(name: str) -> tuple[np.ndarray, dict[str, tuple[str, str]]]:
         outcome = malus_station(small_station, "-o", tmp_path / name, "--until", "evidence")
         assert outcome.code == 0, outcome.err
         said = json.loads((tmp_path / name / "evidence/findings.json").read_text())
-        return {finding["check"]: (finding["severity"], finding["message"]) for finding in said}
+        depth = tifffile.imread(tmp_path / name / "prior/depth.tif")
+        return depth, {finding["check"]: (finding["severity"], finding["message"]) for finding in said}
 
-    metric = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
-    of_metric = findings("metric")
+    metric, of_metric = prior_and_findings("metric")
     cloud_scaled(small_station.parent, 0.01)
     with small_station.open("a") as file:
         file.write("\n[[scale]]\ndistance = 50\na_xyz = [0, 0, 0]\nb_xyz = [0.3, 0.4, 0]\n")
-    scaled = malus.reconstruct(malus.Station.load(small_station), until="prior", threads=2)
-    assert metric.prior_depth is not None and scaled.prior_depth is not None
-    np.testing.assert_allclose(scaled.prior_depth, metric.prior_depth, rtol=1e-5)
-    assert findings("scaled") == of_metric, "the cloud's place is checked as it is used"
+    scaled, of_scaled = prior_and_findings("scaled")
+    np.testing.assert_allclose(scaled, metric, rtol=1e-5)
+    assert of_scaled == of_metric, "the cloud's place is checked as it is used"
 
 
 def test_scale_that_would_not_be_used_is_refused(small_station: Path) -> None:
@@ -557,37 +556,37 @@ def test_height_without_a_prior(small_station: Path, tmp_path: Path) -> None:
     text = small_station.read_text()
     text = text[: text.index("[camera]")] + text[text.index("[[patch]]") :]
     small_station.write_text(text)
-    outcome = run_malus("height", small_station, "-o", tmp_path / "free", "--threads", "2")
+    outcome = malus_here("height", small_station, "-o", tmp_path / "free", "--threads", "2")
     assert outcome.code == 0, outcome.err
     assert "upside down" in " ".join(outcome.err.split())
     assert (tmp_path / "free/height/height.tif").exists()
     small_station.write_text(text + "[optics]\nlight = [0.5, -0.4, -0.7]\n")
-    outcome = run_malus("height", small_station, "-o", tmp_path / "known", "--threads", "2")
+    outcome = malus_here("height", small_station, "-o", tmp_path / "known", "--threads", "2")
     assert outcome.code == 0 and "upside down" not in " ".join(outcome.err.split())
     light = json.loads((tmp_path / "known/manifest.json").read_text())["steps"]["height"]["notes"]["light"][:3]
     np.testing.assert_allclose(
         np.array(light) / np.linalg.norm(light), np.array([0.5, -0.4, -0.7]) / 0.9**0.5, atol=1e-6
     )
     edit(small_station, "light = [0.5, -0.4, -0.7]", "light = [0, 0, 1]")
-    assert run_malus("height", small_station, "-o", tmp_path / "known").code == 2
+    assert malus_here("height", small_station, "-o", tmp_path / "known").code == 2
 
 
-def test_a_height_that_cannot_be_computed_is_said_to_be_none(small_station: Path, tmp_path: Path) -> None:
+def test_a_height_that_cannot_be_computed_is_said_to_be_none(tiny_station: Path, tmp_path: Path) -> None:
     """Light from where the camera is does not distinguish slopes."""
-    with small_station.open("a") as file:
+    with tiny_station.open("a") as file:
         file.write("\n[optics]\nlight = [0, 0, -1]\n")
     work, why = tmp_path / "work", "light along the view direction"
     words = ("--set", "light.min_tangential=0.5", "--threads", "2")
-    outcome = run_malus("height", small_station, "-o", work, *words)
+    outcome = malus_here("height", tiny_station, "-o", work, *words)
     assert (
         outcome.code == 0 and f"there is no height from polarization, height/height.tif is empty: {why}" in outcome.err
     )
     options = malus.Options(light={"min_tangential": 0.5})
-    kept = malus.reconstruct(malus.Station.load(small_station), options, workspace=work, until="height")
+    kept = malus.reconstruct(malus.Station.load(tiny_station), options, workspace=work, until="height")
     assert any(why in warning for warning in kept.warnings)
-    outcome = malus_station(small_station, "-o", tmp_path / "again", "--until", "height", *words)
+    outcome = malus_station(tiny_station, "-o", tmp_path / "again", "--until", "height", *words)
     assert outcome.code == 0 and f"height/height.tif is empty: {why}" in outcome.err
-    outcome = run_malus("run", small_station, "-o", work, *QUICK_WORDS, *words)
+    outcome = malus_here("run", tiny_station, "-o", work, *QUICK_WORDS, *words)
     assert outcome.code == 0, outcome.err
     page = (work / "report/index.html").read_text(encoding="utf-8")
     assert f"There is none: {why}." in page
@@ -616,15 +615,15 @@ def test_light_of_a_rendered_bust_without_its_prior() -> None:
         assert found["of_contour"] == (assumption == "contour")
 
 
-def test_grid_fusion_says_that_it_does_not_estimate_the_index(small_station: Path, tmp_path: Path) -> None:
-    with small_station.open("a") as file:
+def test_grid_fusion_says_that_it_does_not_estimate_the_index(tiny_station: Path, tmp_path: Path) -> None:
+    with tiny_station.open("a") as file:
         file.write('\n[optics]\nrefractive_index = "auto"\n')
-    outcome = run_malus("fuse", small_station, "-o", tmp_path / "work", "--fusion", "grid")
+    outcome = malus_here("fuse", tiny_station, "-o", tmp_path / "work", "--fusion", "grid")
     assert outcome.code == 0 and "only the refinement estimates it" in outcome.err
 
 
 @pytest.mark.parametrize("name", ["bust", "coin", "glass", "relief"])
 def test_examples_can_be_checked(name: str, tmp_path: Path) -> None:
-    outcome = run_malus("check", ROOT / "examples" / name / "station.toml", cwd=tmp_path)
+    outcome = malus_here("check", ROOT / "examples" / name / "station.toml")
     assert outcome.code == 0, outcome.err
     assert example_station(name).name == "station.toml"

@@ -13,7 +13,6 @@ import time
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +22,7 @@ import pytest
 from PIL import Image
 
 import malus as package
-from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_station, run_program
+from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_here, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
 from malus.photogrammetry import database, diagnosis, photo_cameras, scale, station_pose
@@ -112,7 +111,7 @@ def fake_colmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fails(station: Path, work: Path, code: int, *words: str) -> str:
-    outcome = malus("prior", station, "-o", work, "--threads", "1")
+    outcome = malus_here("prior", station, "-o", work, "--threads", "1")
     assert outcome.code == code, outcome
     for word in words:
         assert word in outcome.err, f"{word!r} is not in {outcome.err!r}"
@@ -652,31 +651,19 @@ def test_metashape_cameras(tmp_path: Path) -> None:
             read_metashape(path)
 
 
-@pytest.mark.parametrize(
-    "backend",
-    [
-        pytest.param(
-            "colmap", marks=pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
-        ),
-        pytest.param(
-            "pycolmap", marks=pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed")
-        ),
-    ],
-)
-def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str) -> None:
-    """The demo station with six of its photos; scale from two points of the demo's own model."""
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path) -> None:
+    """The demo station with six of its photos; scale from two points of the demo's own model. With pycolmap: test_control.py."""
     station, used = demo_with_photos(tmp_path / "station")
     truth = _core.ColmapModel.read(str(EXAMPLE / "sparse")).images()
-    options = ("--set", "photos.max_features=1500", "--set", f"photos.backend={backend}")
-    # The steps after the cameras are the same for both backends: the second sweep is tested with one of them.
-    options += QUICK_WORDS if backend == "colmap" else ("--set", "sweep.again=false")
+    options = ("--set", "photos.max_features=1500", "--set", "photos.backend=colmap", *QUICK_WORDS)
     options += ("--threads", str(os.cpu_count() or 1))
     outcome = malus("prior", station, "-o", tmp_path / "work", *options)
     assert outcome.code == 0, outcome
     model = _core.ColmapModel.read(str(tmp_path / "work" / "prior" / "colmap" / "model")).images()
     assert set(used) <= set(model)
     log = (tmp_path / "work" / "prior" / "colmap" / "features.log").read_text()
-    assert ("pycolmap_driver" in log) == (backend == "pycolmap")
+    assert "pycolmap_driver" not in log
 
     def centers(images: dict[str, tuple[package.photogrammetry.RegisteredImage, int, int]]) -> np.ndarray:
         return np.array([-np.array(images[n][0][4]).T @ images[n][0][5] for n in used])  # type: ignore[index]
@@ -684,6 +671,6 @@ def test_real_colmap_finds_cameras_scale_and_prior(tmp_path: Path, backend: str)
     found, true = centers(model), centers(truth)
     spread = [np.linalg.norm(c - c.mean(axis=0)) for c in (found, true)]
     assert spread[0] / spread[1] == pytest.approx(1, abs=2e-3)
-    again = malus("prior", station, "-o", tmp_path / "work", *options, "--json")
+    again = malus_here("prior", station, "-o", tmp_path / "work", *options, "--json")
     steps = [json.loads(line) for line in again.out.splitlines()]
     assert any(step.get("message") == "kept from an earlier run" and step["step"] == "prior" for step in steps)

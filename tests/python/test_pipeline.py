@@ -21,7 +21,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import QUICK, QUICK_WORDS, edit, half_written, malus_station, run_program
+from conftest import QUICK, QUICK_WORDS, edit, half_written, malus_here, malus_station, run_program
 from conftest import malus as run_malus
 from malus.overlay import draw_overlay
 
@@ -117,7 +117,7 @@ def assert_last_event_is_what_quality_says(events: list[dict[str, Any]], work: P
 
 def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) -> None:
     before = {name: (finished / name).stat().st_mtime_ns for name in RASTERS + OTHERS[1:]}
-    outcome = run_malus("run", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
+    outcome = malus_here("run", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
@@ -126,10 +126,11 @@ def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) 
     assert before == {name: (finished / name).stat().st_mtime_ns for name in before}
 
 
-def test_changed_option_repeats_only_what_depends_on_it(small_station: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    assert run_malus("run", small_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
-    outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json", "--set", "grid.grid_px=8")
+def test_changed_option_repeats_only_what_depends_on_it(
+    finished: Path, small_station_source: Path, tmp_path: Path
+) -> None:
+    work, station = shutil.copytree(finished, tmp_path / "work"), small_station_source / "station.toml"
+    outcome = malus_here("run", station, "-o", work, "--fusion", "grid", "--json", "--set", "grid.grid_px=8")
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
@@ -173,8 +174,8 @@ def test_executable_makes_the_same_files(finished: Path, small_station_source: P
 
 def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    outcome = run_malus(
-        "run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "1", "--quiet"
+    outcome = malus_here(
+        "fuse", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--threads", "1", "--quiet"
     )
     assert outcome.code == 0, outcome.err
     one, two = (tifffile.imread(w / "fused/depth.tif").astype(float) for w in (work, finished))
@@ -183,8 +184,8 @@ def test_one_and_two_threads_agree(finished: Path, small_station_source: Path, t
 
 
 @pytest.mark.parametrize("fusion", ["grid", "refined"])
-def test_dropping_maps_changes_no_file(fusion: str, small_station_source: Path, tmp_path: Path) -> None:
-    station = malus.Station.load(small_station_source / "station.toml")
+def test_dropping_maps_changes_no_file(fusion: str, tiny_station_source: Path, tmp_path: Path) -> None:
+    station = malus.Station.load(tiny_station_source / "station.toml")
     options = malus.Options(fusion=fusion, refine=QUICK)
     kept = malus.reconstruct(station, options, workspace=tmp_path / "kept", threads=2)
     lean = malus.reconstruct(station, options, workspace=tmp_path / "lean", threads=2, keep_maps=False)
@@ -245,7 +246,7 @@ def test_python_arrays_give_the_same_surface(finished: Path, small_station_sourc
 
 def leaves(command: str) -> set[str]:
     """Files that the help of a command says it leaves."""
-    text = run_malus(command, "--help").out
+    text = malus_here(command, "--help").out
     return {line.split()[0] for line in text[text.index("leaves in WORK:") :].splitlines()[1:]}
 
 
@@ -253,13 +254,13 @@ def files_of(work: Path) -> set[str]:
     return {str(path.relative_to(work)) for path in work.rglob("*") if path.is_file() and path.name[0] != "."}
 
 
-def test_every_command_leaves_what_its_help_says(small_station: Path, tmp_path: Path) -> None:
+def test_every_command_leaves_what_its_help_says(tiny_station_source: Path, tmp_path: Path) -> None:
     """All in one workspace, each command on the files that the commands before it have left."""
     work = tmp_path / "work"
     expected = {"manifest.json"}
     for command in ("decompose", "prior", "fuse", "refine", "height", "mesh", "assess"):
         before = files_of(work) if work.exists() else set()
-        outcome = run_malus(command, small_station, "-o", work, "--threads", "2", *QUICK_WORDS)
+        outcome = malus_here(command, tiny_station_source / "station.toml", "-o", work, "--threads", "2", *QUICK_WORDS)
         assert outcome.code == 0, outcome.err
         assert leaves(command) <= files_of(work), command
         expected |= leaves(command) | {
@@ -271,26 +272,26 @@ def test_every_command_leaves_what_its_help_says(small_station: Path, tmp_path: 
         if command == "fuse":
             assert "fused/depth.tif" in leaves(command) and "height/height.tif" not in files_of(work)
     assert leaves("refine") == leaves("fuse")
-    assert run_malus("report", work).code == 0
+    assert malus_here("report", work).code == 0
     assert (work / "report/index.html").stat().st_size > 0
 
 
-def test_grid_fusion_is_no_refinement(small_station: Path, tmp_path: Path) -> None:
+def test_grid_fusion_is_no_refinement(tiny_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     for wrong in (["--fusion", "grid"], ["--set", "fusion=grid"]):
-        outcome = run_malus("refine", small_station, "-o", work, *wrong)
+        outcome = malus_here("refine", tiny_station, "-o", work, *wrong)
         assert outcome.code == 2 and "malus fuse" in outcome.err
     assert not work.exists()
-    assert run_malus("fuse", small_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    assert malus_here("fuse", tiny_station, "-o", work, "--fusion", "grid", "--quiet").code == 0
     assert "height/height.tif" in files_of(work) and "fused/refinement.json" not in files_of(work)
-    outcome = malus_station(small_station, "-o", work, "--until", "refine")
+    outcome = malus_station(tiny_station, "-o", work, "--until", "refine")
     assert outcome.code == 2 and "step refine does not exist, expected one of polarization, " in outcome.err
 
 
-def test_zenith_and_height_can_be_left_out(small_station: Path, tmp_path: Path) -> None:
+def test_zenith_and_height_can_be_left_out(tiny_station_source: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     options = ["--threads", "2", *QUICK_WORDS, "--set", "assess.polarization_height=false"]
-    outcome = run_malus("run", small_station, "-o", work, *options)
+    outcome = malus_here("run", tiny_station_source / "station.toml", "-o", work, *options)
     assert outcome.code == 0, outcome.err
     quality = json.loads((work / "quality.json").read_text())
     assert quality["polarization_height"] is None and quality["patches"][0]["polarization"] is None
@@ -307,31 +308,31 @@ def test_results_of_two_runs_are_not_mixed(finished: Path, small_station_source:
     assert outcome.code == 0, outcome.err
     for stale in ("quality.json", "fused/surface.ply", "report/index.html"):
         assert not (work / stale).exists(), stale
-    outcome = run_malus("report", work)
+    outcome = malus_here("report", work)
     assert outcome.code == 2 and "quality.json" in outcome.err and "malus run" in outcome.err
     assert not malus.Workspace(work).has("polarization/color.tif"), "no step has left it"
 
     assert malus_station(station, "-o", work, *QUICK_WORDS, "--quiet").code == 0
     depth = (work / "fused/depth.tif").read_bytes()
     (work / "fused/depth.tif").write_bytes((finished / "fused/depth.tif").read_bytes())
-    outcome = run_malus("report", work)
+    outcome = malus_here("report", work)
     assert outcome.code == 2 and "depth.tif: is not as its step left it" in outcome.err
     (work / "fused/depth.tif").write_bytes(depth)
-    assert run_malus("report", work).code == 0
+    assert malus_here("report", work).code == 0
 
 
 def test_recorded_options_are_those_of_the_results(finished: Path, small_station: Path, tmp_path: Path) -> None:
     work = shutil.copytree(finished, tmp_path / "work")
     station = finished_station(small_station, work)
-    assert run_malus("prior", station, "-o", work, "--set", "grid.grid_px=99", "--quiet").code == 0
+    assert malus_here("prior", station, "-o", work, "--set", "grid.grid_px=99", "--quiet").code == 0
     assert malus.Workspace(work).options().grid.grid_px != 99
 
 
 def finished_station(station: Path, work: Path) -> Path:
     """The same station in another folder, which takes the workspace over."""
-    outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--quiet")
+    outcome = malus_here("prior", station, "-o", work, "--fusion", "grid", "--quiet")
     assert outcome.code == 2 and 'belongs to station "small"' in outcome.err and "--replace" in outcome.err
-    outcome = run_malus("prior", station, "-o", work, "--fusion", "grid", "--replace", "--json")
+    outcome = malus_here("prior", station, "-o", work, "--fusion", "grid", "--replace", "--json")
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = [event["message"] for event in events if event["event"] == "progress"]
@@ -360,7 +361,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
         tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     command = ("run", small_station, "-o", work, "--fusion", "grid", "--threads", "2")
-    quiet = run_malus(*command, "--quiet")
+    quiet = malus_here(*command, "--quiet")
     assert quiet.code == 0
     quality = json.loads((work / "quality.json").read_text())
     # Each warning is printed at once, without its step's name, and not again at the end.
@@ -378,7 +379,7 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     # A reason begins with a capital letter on the page.
     assert all(markupsafe.escape(warning.split(": ", 1)[1][1:]) in page for warning in quality["warnings"])
     assert all(markupsafe.escape(reason[0].upper() + reason[1:]) in page for reason in quality["confidence"]["reasons"])
-    outcome = run_malus(*command)
+    outcome = malus_here(*command)
     assert "kept from an earlier run" in outcome.err
     assert text in outcome.err.replace("\n", " "), "repeated"
     assert all(f"warning: {warning}" in outcome.out for warning in quality["warnings"])
@@ -393,8 +394,8 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
     work = tmp_path / "work"
     misfits = "object's pixels do not follow the polarizer's sinusoid"
     for command, word in (
-        (lambda *words: run_malus("fuse", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
-        (lambda *words: run_malus("mesh", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (lambda *words: malus_here("fuse", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (lambda *words: malus_here("mesh", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
         (
             lambda *words: malus_station(small_station, "-o", work, "--fusion", "grid", "--until", "fuse", *words),
             "confidence    ",
@@ -406,21 +407,21 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
             assert f"{word}partial, not assessed yet" in said
             assert said.index(misfits) < said.index(word), "the warning at once, the verdict at the end"
             assert said.rindex(misfits) > said.index(word), "which names it among its reasons"
-    quiet = run_malus("decompose", small_station, "-o", tmp_path / "maps", "--quiet")
+    quiet = malus_here("decompose", small_station, "-o", tmp_path / "maps", "--quiet")
     assert misfits in quiet.err and "confidence" not in quiet.err, "nothing is fused"
 
 
-def test_provenance_names_everything_that_was_read(small_station: Path, tmp_path: Path) -> None:
-    folder = small_station.parent
-    Image.fromarray(np.full((160, 200), 255, np.uint8)).save(folder / "mask.png")
-    Image.fromarray(np.ones((160, 200), np.uint8)).save(folder / "labels.png")
+def test_provenance_names_everything_that_was_read(tiny_station: Path, tmp_path: Path) -> None:
+    folder = tiny_station.parent
+    Image.fromarray(np.full((80, 100), 255, np.uint8)).save(folder / "mask.png")
+    Image.fromarray(np.ones((80, 100), np.uint8)).save(folder / "labels.png")
     (folder / "response.csv").write_text("0 0\n16383 1\n")
-    edit(small_station, "white_level = 16383", 'response = "response.csv"\nwhite_level = 16383\nmask = "mask.png"')
-    edit(small_station, "[prior]", '[optics]\nreflection = "labels.png"\n\n[prior]')
+    edit(tiny_station, "white_level = 16383", 'response = "response.csv"\nwhite_level = 16383\nmask = "mask.png"')
+    edit(tiny_station, "[prior]", '[optics]\nreflection = "labels.png"\n\n[prior]')
     shutil.copy(folder / "dense/cloud.ply", folder / "scan.ply")
     work = tmp_path / "work"
-    outcome = run_malus(
-        "run", small_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
+    outcome = malus_here(
+        "run", tiny_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
     )
     assert outcome.code == 0, outcome.err
     manifest = malus.Workspace(work).manifest
@@ -454,17 +455,17 @@ def test_known_distances_of_a_given_prior_are_reported(tiny_station_source: Path
 
 def test_decompose_needs_no_prior(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"\n', "")
-    outcome = run_malus("decompose", small_station, "-o", tmp_path / "work", "--quiet")
+    outcome = malus_here("decompose", small_station, "-o", tmp_path / "work", "--quiet")
     assert outcome.code == 0, outcome.err
-    refused = run_malus("run", small_station, "-o", tmp_path / "work", "--quiet")
+    refused = malus_here("run", small_station, "-o", tmp_path / "work", "--quiet")
     assert refused.code == 2 and "only `decompose` and `height` can be run" in refused.err
-    checked = run_malus("check", small_station, cwd=tmp_path)
+    checked = malus_here("check", small_station)
     assert "what polarization alone tells" in checked.out and "height: height from polarization alone" in checked.out
     assert "picture of image and mask: station-check.png" in checked.out
 
 
 def test_check_lists_what_a_run_would_do(small_station: Path, tmp_path: Path) -> None:
-    outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
+    outcome = malus_here("check", small_station, "--json")
     assert outcome.code == 0, outcome.err
     plan = json.loads(outcome.out)
     assert (plan["width"], plan["height"], plan["object_pixels"]) == (200, 160, 32000)
@@ -476,7 +477,7 @@ def test_check_lists_what_a_run_would_do(small_station: Path, tmp_path: Path) ->
 
 def test_check_states_known_doubts_about_the_result(small_station: Path, tmp_path: Path) -> None:
     edit(small_station, 'unit = "mm"', 'unit = "m"')
-    outcome = run_malus("check", small_station, "--json", cwd=tmp_path)
+    outcome = malus_here("check", small_station, "--json")
     assert outcome.code == 0, outcome.err
     plan = json.loads(outcome.out)
     assert plan["confidence"]["level"] == "low"
@@ -495,7 +496,7 @@ def test_both_programs_end_with_the_confidence(small_station: Path, tmp_path: Pa
 
 
 def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path: Path) -> None:
-    outcome = run_malus("check", small_station, cwd=tmp_path)
+    outcome = malus_here("check", small_station)
     assert outcome.code == 0, outcome.err
     assert "picture of the cloud on the image: station-check.png" in outcome.out
     assert "200 x 160 px, 32000 on the object\n" in outcome.out
@@ -519,13 +520,13 @@ def test_check_leaves_the_picture_of_a_cloud_that_misses_the_object_too(small_st
     mask[0, 0] = 255
     Image.fromarray(mask).save(small_station.parent / "mask.png")
     edit(small_station, "white_level = 16383", 'white_level = 16383\nmask = "mask.png"')
-    outcome = run_malus("check", small_station, "--overlay", tmp_path / "seen.png")
+    outcome = malus_here("check", small_station, "--overlay", tmp_path / "seen.png")
     assert outcome.code == 3 and "points fall on the object" in outcome.err
     assert (tmp_path / "seen.png").exists()
 
 
 def test_check_warns_of_too_little_memory(small_station: Path, tmp_path: Path) -> None:
-    outcome = run_malus("check", small_station, "--json", "--threads", "100000", cwd=tmp_path)
+    outcome = malus_here("check", small_station, "--json", "--threads", "100000")
     assert outcome.code == 0, outcome.err
     assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])
 
@@ -562,7 +563,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     manifest = json.loads((work / "manifest.json").read_text())
     assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "evidence", "zenith"}
     assert not half_written(work)
-    outcome = run_malus("run", small_station, "-o", work, "--fusion", "grid", "--json")
+    outcome = malus_here("run", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     kept = {
         e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"
@@ -572,7 +573,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
 
 def test_help_and_version() -> None:
     assert run_malus("--version").out.strip() == f"malus {malus.__version__}"
-    assert "STATION.toml" in run_malus("run", "--help").out
+    assert "STATION.toml" in malus_here("run", "--help").out
     assert malus_station("--version").code == 0
 
 

@@ -15,8 +15,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
-from conftest import malus_station
+from conftest import malus_here, malus_station
 from malus import raw
 from malus._files import sha256_of
 from malus.exif import exposure_doubts, mask_notes
@@ -197,7 +196,7 @@ def test_levels_are_refused_for_raw_files(station: Path) -> None:
 def test_damaged_raw_is_an_input_error(station: Path, tmp_path: Path) -> None:
     pytest.importorskip("rawpy")
     (tmp_path / "pol_045.dng").write_bytes(b"II*\0 not a DNG")
-    outcome = run_malus("decompose", station, "-o", tmp_path / "work")
+    outcome = malus_here("decompose", station, "-o", tmp_path / "work")
     assert outcome.code == 2
     assert "pol_045.dng: not a RAW file that LibRaw can read" in outcome.err
     assert "Traceback" not in outcome.err
@@ -221,7 +220,7 @@ def test_missing_library_is_named(station: Path, tmp_path: Path, monkeypatch: py
 def test_settings_that_changed_are_named(station: Path, tmp_path: Path, change: dict[str, Any], message: str) -> None:
     write_dng(tmp_path / "pol_090.dng", scene(90), **change)
     for command in (["check", station], ["decompose", station, "-o", tmp_path / "work"]):
-        outcome = run_malus(*command)
+        outcome = malus_here(*command)
         assert outcome.code == 2, outcome.out
         assert f"pol_090.dng: {message}" in outcome.err
 

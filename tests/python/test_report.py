@@ -19,8 +19,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import malus as run_malus
-from conftest import run_program
+from conftest import malus_here, run_program
 from malus import _core, figures, lengths, pages, viewer
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
@@ -551,13 +550,6 @@ def test_scale_and_photos_are_shown_when_they_are_known(copied: tuple[Path, dict
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 
-def test_an_unknown_polarizer_zero_is_not_shown_as_a_number(copied: tuple[Path, dict[str, Any]]) -> None:
-    work, quality = copied
-    quality["polarizer"] |= {"zero_error_deg": None, "zero_error_sigma_deg": None, "surface_check": "nothing to see"}
-    text = reported(work, quality)
-    assert "is right could not be checked: nothing to see." in text and "–°" not in text
-
-
 def test_without_height_from_polarization_the_reason_is_stated(copied: tuple[Path, dict[str, Any]]) -> None:
     """With a light beside the lens, an empty map was shown as a height that was still changing."""
     work, quality = copied
@@ -581,14 +573,18 @@ def test_without_height_from_polarization_the_reason_is_stated(copied: tuple[Pat
     assert re.sub("<.*?>", "", index) == "about 0.63 + 3.19 i, a metal's"
 
 
-def test_a_refractive_index_that_nothing_gives_is_not_called_given(copied: tuple[Path, dict[str, Any]]) -> None:
+def test_what_nothing_tells_is_not_shown_as_given(copied: tuple[Path, dict[str, Any]]) -> None:
+    """The zero of the polarizer's scale, and a refractive index."""
     work, quality = copied
     quality["refinement"] = {
         "refractive_index": {"value": 1.5, "sigma": None, "stated": None}, "trusted_share": 0.95, "specular_share": 0,
         "metal": None, "lobe": {"strength": 0}, "iterations": [], "surroundings": None,
     }  # fmt: skip
-    index = reported(work, quality).split(">refractive index</abbr>")[1].split("</tr>")[0]
+    quality["polarizer"] |= {"zero_error_deg": None, "zero_error_sigma_deg": None, "surface_check": "nothing to see"}
+    text = reported(work, quality)
+    index = text.split(">refractive index</abbr>")[1].split("</tr>")[0]
     assert re.sub("<.*?>", "", index) == "1.5, assumed"
+    assert "is right could not be checked: nothing to see." in text and "–°" not in text
 
 
 def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.WarningsRecorder) -> None:
@@ -608,10 +604,10 @@ def test_text_of_charts_is_not_cut_off(work: Path) -> None:
 
 
 def test_report_and_view_say_what_is_missing(tmp_path: Path) -> None:
-    outcome = run_malus("report", tmp_path / "none")
+    outcome = malus_here("report", tmp_path / "none")
     assert outcome.code == 2 and "there is no such folder" in outcome.err
     (tmp_path / "manifest.json").write_text("{}")
-    outcome = run_malus("view", tmp_path)
+    outcome = malus_here("view", tmp_path)
     assert outcome.code == 2 and "malus report" in outcome.err
 
 

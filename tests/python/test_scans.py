@@ -13,7 +13,6 @@ import pytest
 
 import malus
 from conftest import edit, malus_here, malus_station
-from conftest import malus as run_malus
 from e57_pages import as_file, content_of
 from malus import _core
 from malus._files import sha256_of
@@ -140,7 +139,7 @@ def test_a_reference_may_be_a_scan(tiny_station_source: Path, tmp_path: Path, na
         write_las(tmp_path / name, points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
     else:
         write_e57(tmp_path / name, points)
-    outcome = run_malus(
+    outcome = malus_here(
         "assess", station, "-o", tmp_path / "work", "--fusion", "grid", "--reference", tmp_path / name, "--threads", "2"
     )
     assert outcome.code == 0, outcome.err

@@ -58,7 +58,7 @@ def test_mirrored_sky_is_polarized_across_the_azimuth() -> None:
 
 @pytest.mark.parametrize(("prior", "refinement"), [("cloud", {}), ("depth", QUICK)])
 def test_station_is_reconstructed(tmp_path: Path, prior: str, refinement: dict[str, bool]) -> None:
-    station = synthetic.write_station(tmp_path / prior, 200, 140, prior=prior)
+    station = synthetic.write_station(tmp_path / prior, 160, 120, prior=prior)
     result = malus.reconstruct(malus.Station.load(station), malus.Options(fusion="refined", refine=refinement))
     truth = np.load(station.parent / "gt" / "depth_normal_mask.npz")["depth"].astype(float)
     gsd = json.loads((station.parent / "meta.json").read_text())["gsd_mm"]

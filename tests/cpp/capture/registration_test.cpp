@@ -80,7 +80,7 @@ TEST(Registration, threads_change_nothing) {
 
 TEST(Registration, a_part_of_a_large_image_is_enough) {
   // The image has more pixels than registration compares.
-  const Size large{2400, 1400};
+  const Size large{1800, 1300};
   const Affine map = similarity(large, 0.0004, 1.0002, 1.7, -0.6);
   std::vector<Image<float>> images;
   for (const Affine& moved : {identity_affine(), map}) {

@@ -8,6 +8,7 @@
 #include "malus/fusion/finishes_internal.h"
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
+#include "quick_refinement.h"
 #include "synthetic_station.h"
 
 namespace malus {
@@ -64,8 +65,10 @@ TEST(Finishes, PixelsGetTheFinishThatExplainsTheirPolarization) {
 RefineReport report_of_bowl(bool two_finishes) {
   ReflectionModel model;
   const SyntheticStation station = bowl(two_finishes, model);
-  RefineOptions options;
+  RefineOptions options = quick();
   options.surroundings_iterations = 1;
+  options.more_iterations = 0;
+  options.correct_index = false;
   return refine(station.state, station.prior, {}, options, Context{}).report;
 }
 

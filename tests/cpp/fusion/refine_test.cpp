@@ -94,6 +94,7 @@ TEST(Refine, ContinuesWhileTheSurfaceChanges) {
   SyntheticStation station = make_station(scene);
   for (float& sigma : station.prior.sigma) sigma *= 10;
   RefineOptions options = quick();
+  options.surroundings = false;
   options.evidence = false;  // evidence would reject the surface: the prior is too far off
   const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
   options.more_iterations = 0;
@@ -292,7 +293,9 @@ TEST(Refine, RejectsAnIndexAtTheEndOfTheRange) {
   const SyntheticStation station = body_of_index(2.6);
   RefineInput input;
   input.refractive_index.reset();
-  const RefineResult result = refine(station.state, station.prior, input, quick(), Context{});
+  RefineOptions options = quick();
+  options.surroundings = false;
+  const RefineResult result = refine(station.state, station.prior, input, options, Context{});
   EXPECT_EQ(result.report.reflection.eta, 1.5);
   EXPECT_TRUE(std::isnan(result.report.eta_sigma));
   EXPECT_TRUE(warns_of(result, "refractive index is not known"));
@@ -301,6 +304,7 @@ TEST(Refine, RejectsAnIndexAtTheEndOfTheRange) {
 TEST(Refine, ReplacesAStatedIndexThatIsContradicted) {
   const SyntheticStation station = body_of_index(1.85);
   RefineOptions options = quick();
+  options.surroundings = false;
   const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
   EXPECT_NEAR(corrected.report.reflection.eta, 1.85, 0.1);
   EXPECT_EQ(corrected.report.stated_eta, 1.5);

@@ -14,6 +14,7 @@
 #include "malus/fusion/surroundings_course_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"
 #include "malus/fusion/surroundings_internal.h"
+#include "quick_refinement.h"
 #include "synthetic_station.h"
 
 namespace malus {
@@ -237,7 +238,7 @@ TEST(Surroundings, AMetalIsFoundAndRefinedFromBrightnessAndPolarization) {
   SyntheticOptions scene;
   scene.size = {96, 80};
   const SyntheticStation station = metal_station(make_station(scene).prior.camera);
-  const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
   EXPECT_GT(result.report.metal_index.imag(), 0);
   EXPECT_GT(result.report.trusted_share, 0.5);
   EXPECT_TRUE(std::isnan(result.report.mirrored(40, 40))) << "all light is mirrored, in the metal's own color";
@@ -252,7 +253,7 @@ TEST(Surroundings, AMetalFartherFromThePriorThanItsErrorsKeepsThePrior) {
   scene.size = {96, 80};
   SyntheticStation station = metal_station(make_station(scene).prior.camera);
   for (float& sigma : station.prior.sigma) sigma *= 0.05F;
-  const RefineResult result = refine(station.state, station.prior, {}, {}, Context{});
+  const RefineResult result = refine(station.state, station.prior, {}, quick(), Context{});
   EXPECT_GT(result.report.metal_index.imag(), 0);
   EXPECT_LT(result.report.trusted_share, 0.05);
 }
@@ -275,13 +276,14 @@ TEST(Surroundings, DetermineTheRefractiveIndexOfTheBody) {
 
 TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
   SyntheticOptions scene;
-  scene.size = {160, 128};
+  scene.size = {112, 96};
   scene.model.eta = 1.8;
   scene.bump_gsd = 0.5;  // small bumps: the prior's slopes are accurate enough to estimate the index
   const Pinhole view = make_station(scene).prior.camera;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.8, view, Context{});
   const SyntheticStation station = make_station(scene);
-  RefineOptions options;
+  RefineOptions options = quick();
+  options.surroundings_iterations = 5;
   const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
   ASSERT_TRUE(corrected.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_NEAR(corrected.report.reflection.eta, 1.8, 0.1);
@@ -338,14 +340,15 @@ TEST(Surroundings, DoNotFollowASlowBendOfTheSurface) {
 
 TEST(Surroundings, AnUnknownIndexIsNotEstimatedTogetherWithAMap) {
   SyntheticOptions scene;
-  scene.size = {160, 128};
+  scene.size = {96, 80};
   const Pinhole view = make_station(scene).prior.camera;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, view, Context{});
   const SyntheticStation station = make_station(scene);
   RefineInput input;
   input.refractive_index.reset();
-  RefineOptions options;
+  RefineOptions options = quick();
   options.surroundings_iterations = 1;
+  options.more_iterations = 0;
   const RefineResult result = refine(station.state, station.prior, input, options, Context{});
   ASSERT_TRUE(result.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_EQ(result.report.reflection.eta, 1.5);
