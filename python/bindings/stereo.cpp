@@ -53,8 +53,6 @@ void bind_stereo(py::module_& module) {
                result["depth"] = std::move(found.depth);
                result["sigma"] = std::move(found.sigma);
                result["confidence"] = std::move(found.confidence);
-               result["points_total"] = static_cast<std::size_t>(found.points_total);
-               result["points_used"] = static_cast<std::size_t>(found.points_used);
                return result;
              });
   module.def("visual_hull", [](const CameraValues& station_camera, const Mask& mask,

@@ -245,7 +245,7 @@ class SurfaceSweep {
     for (std::size_t i = 0; i < deviation_.count(); ++i) {
       if (level_.mask[i] == 0) deviation_[i] = std::numeric_limits<float>::quiet_NaN();
     }
-    result_.points_total = static_cast<double>(input_.points.size());
+    result_.points_total = input_.points.size();
     photos_.choose(level_, shape_);
     prepare_photos();
   }
@@ -270,8 +270,8 @@ class SurfaceSweep {
     photos_.choose(level_, deviation_);
     prepare_photos();
     FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
-    result_.points_total = static_cast<double>(input_.points.size());
-    result_.points_used = static_cast<double>(first.points_used);
+    result_.points_total = input_.points.size();
+    result_.points_used = first.points_used;
     deviation_ = std::move(first.log_depth);
     fill_gaps(deviation_, level_.mask, context_);
     photos_.choose(level_, deviation_);
