@@ -15,9 +15,9 @@
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/prior/project_prior_internal.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/prior_scale_internal.h"
 #include "malus/station/quality_json_internal.h"
-#include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 #include "malus/station/surface_words_internal.h"
 #include "malus/surface/dem_file_internal.h"
@@ -130,8 +130,8 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
     }
   } else {
     // The normals are a temporary: they are the largest map, and only the light is estimated from them.
-    light = light_on_surface(state, normals_from_depth(prior->depth, view.camera, job.context), camera, options.light,
-                             job.context);
+    light = estimate_light(state.i_un, normals_from_depth(prior->depth, view.camera, job.context), state.valid_pixels(),
+                           camera, options.light, job.context);
   }
   Image<float> height;
   if (prior != nullptr) height = height_from_depth(prior->depth, view.camera, camera != nullptr, job.context);
