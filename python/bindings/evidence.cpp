@@ -57,23 +57,21 @@ void bind_evidence(py::module_& module) {
 
   module.def("check_cloud", [](const Array<double>& points, const std::optional<Array<float>>& normals,
                                const std::optional<Array<std::uint8_t>>& colors, const PolarizationState& state,
-                               const std::optional<Image<float>>& scene, const std::optional<Mask>& mask,
-                               const RasterView& view, const std::string& unit, int threads) {
+                               const std::optional<Image<float>>& scene, const Mask& mask, const RasterView& view,
+                               const std::string& unit, int threads) {
     const PointCloud cloud = to_cloud(points, normals, colors);
     const Image<float> picture = scene.value_or(Image<float>());
-    const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
     return to_dict(computed(threads, [&](const Context& context) {
-      return check_alignment(cloud, view.pose, {state, picture, object, view.camera, unit}, context);
+      return check_alignment(cloud, view.pose, {state, picture, mask, view.camera, unit}, context);
     }));
   });
 
   module.def("check_depth",
              [](const Image<float>& depth, const PolarizationState& state, const std::optional<Image<float>>& scene,
-                const std::optional<Mask>& mask, const RasterView& view, const std::string& unit, int threads) {
+                const Mask& mask, const RasterView& view, const std::string& unit, int threads) {
                const Image<float> picture = scene.value_or(Image<float>());
-               const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
                return to_dict(computed(threads, [&](const Context& context) {
-                 return check_alignment(depth, {state, picture, object, view.camera, unit}, context);
+                 return check_alignment(depth, {state, picture, mask, view.camera, unit}, context);
                }));
              });
 
@@ -81,21 +79,19 @@ void bind_evidence(py::module_& module) {
     return to_dict(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
   });
 
-  module.def("check_order", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                               const std::optional<Mask>& mask) {
-    const Mask object = mask.value_or(Mask());
-    const ImageOrder order =
-        computed(1, [&](const Context& context) { return check_image_order(images, angles_rad, object, context); });
-    py::dict result = to_dict(order.finding);
-    result["angles_rad"] = order.angles_rad;
-    return result;
-  });
+  module.def("check_order",
+             [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad, const Mask& mask) {
+               const ImageOrder order = computed(
+                   1, [&](const Context& context) { return check_image_order(images, angles_rad, mask, context); });
+               py::dict result = to_dict(order.finding);
+               result["angles_rad"] = order.angles_rad;
+               return result;
+             });
 
   module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                                  const std::optional<Mask>& mask, const std::string& response) {
-    const Mask object = mask.value_or(Mask());
+                                  const Mask& mask, const std::string& response) {
     return to_dict(computed(1, [&](const Context& context) {
-                     return check_response(images, angles_rad, object, response, context);
+                     return check_response(images, angles_rad, mask, response, context);
                    }).finding);
   });
 }

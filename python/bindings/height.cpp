@@ -32,10 +32,8 @@ void bind_height(py::module_& module) {
       .def_readonly("light", &HeightMap::light)
       .def_property_readonly("status", [](const HeightMap& map) { return enum_name(map.status); })
       .def_readonly("residual_rms", &HeightMap::residual_rms);
-  module.def("estimate_light", [](const Image<float>& intensity, const Image<float>& normals,
-                                  const std::optional<Mask>& given_mask, const std::optional<RasterView>& view,
-                                  const Options& options, int threads) {
-    const Mask mask = given_mask ? *given_mask : Mask(intensity.size(), 1, 255);
+  module.def("estimate_light", [](const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
+                                  const std::optional<RasterView>& view, const Options& options, int threads) {
     return light_to_dict(computed(threads, [&](const Context& context) {
       return estimate_light(intensity, normals, mask, view ? &view->camera : nullptr, options.light, context);
     }));
