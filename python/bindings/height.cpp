@@ -47,16 +47,21 @@ void bind_height(py::module_& module) {
     }));
   });
   module.def("solve_height", [](const PolarizationState& state, const ReflectionMap& reflection,
-                                const std::optional<RasterView>& view, const std::optional<Eigen::Vector4d>& light,
+                                const std::optional<RasterView>& view, const std::optional<Eigen::Vector4d>& known,
                                 const std::optional<Image<float>>& normals, const Options& options, int threads) {
+    const Pinhole* camera = view ? &view->camera : nullptr;
+    const Pinhole* rays = options.height.perspective ? camera : nullptr;
     return computed(threads, [&](const Context& context) {
-      return solve_height({.polarization = state,
-                           .reflection = reflection,
-                           .camera = view ? &view->camera : nullptr,
-                           .light = light,
-                           .prior_normals = normals ? &*normals : nullptr,
-                           .prior_height = nullptr},
-                          options.height, options.light, context);
+      LightEstimate light;
+      if (known) {
+        light.coefficients = *known;
+        judge_direction(light, rays, state.size(), options.light);
+      } else if (normals) {
+        light = estimate_light(state.i_un, *normals, state.valid_pixels(), rays, options.light, context);
+      } else {
+        light = light_from_polarization(state, reflection, std::nullopt, rays, options.light, context);
+      }
+      return solve_height({state, reflection, camera, light, nullptr}, options.height, context);
     });
   });
 }

@@ -138,11 +138,9 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
   return solve_height({.polarization = state,
                        .reflection = reflection,
                        .camera = station.known_lens() ? &view.camera : nullptr,
-                       .light = std::nullopt,
-                       .prior_normals = nullptr,
-                       .prior_height = prior != nullptr ? &height : nullptr,
-                       .estimated_light = light},
-                      options.height, options.light, job.context);
+                       .light = light,
+                       .prior_height = prior != nullptr ? &height : nullptr},
+                      options.height, job.context);
 }
 
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,
