@@ -53,7 +53,6 @@ class StationInputs {
  private:
   Json file(const std::filesystem::path& path) { return files({path})[0]; }
   Json files(const std::vector<std::filesystem::path>& paths);
-  Json array(const std::string& name, const void* data, std::size_t bytes);
   template <class T>
   Json array(const std::string& name, const T& values);
   std::string name_of(const std::filesystem::path& path) const;
