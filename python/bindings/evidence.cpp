@@ -15,12 +15,6 @@
 namespace malus::python {
 namespace {
 
-py::dict to_dict(const Finding& finding) {
-  py::dict result = by_fields(finding);
-  result["figures"] = py::dict(result["figures"]);  // from pairs of name and value
-  return result;
-}
-
 /// An H×W×4 array of the parts of the image: u, v, disagreement, standard deviation of the disagreement.
 py::array_t<double> parts_array(const PhaseAgreement& agreement) {
   constexpr py::ssize_t side = PhaseAgreement::parts_per_side;
@@ -37,7 +31,7 @@ py::array_t<double> parts_array(const PhaseAgreement& agreement) {
 }
 
 py::dict to_dict(const PriorAlignment& alignment) {
-  py::dict result = to_dict(alignment.finding);
+  py::dict result = by_fields(alignment.finding);
   result["instead"] = alignment.instead;
   return result;
 }
@@ -50,7 +44,7 @@ void bind_evidence(py::module_& module) {
     const PhaseAgreement agreement = computed(threads, [&](const Context& context) {
       return phase_agreement(state, view ? &view->camera : nullptr, normals, context);
     });
-    py::dict result = to_dict(agreement.finding);
+    py::dict result = by_fields(agreement.finding);
     result["parts"] = parts_array(agreement);
     return result;
   });
@@ -76,23 +70,23 @@ void bind_evidence(py::module_& module) {
              });
 
   module.def("check_size", [](const Array<double>& points_in_cam, const RasterView& view, const std::string& unit) {
-    return to_dict(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
+    return by_fields(object_size(to_cloud(points_in_cam).points, view.camera, unit).finding);
   });
 
   module.def("check_order",
              [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad, const Mask& mask) {
                const ImageOrder order = computed(
                    1, [&](const Context& context) { return check_image_order(images, angles_rad, mask, context); });
-               py::dict result = to_dict(order.finding);
+               py::dict result = by_fields(order.finding);
                result["angles_rad"] = order.angles_rad;
                return result;
              });
 
   module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                                   const Mask& mask, const std::string& response) {
-    return to_dict(computed(1, [&](const Context& context) {
-                     return check_response(images, angles_rad, mask, response, context);
-                   }).finding);
+    return by_fields(computed(1, [&](const Context& context) {
+                       return check_response(images, angles_rad, mask, response, context);
+                     }).finding);
   });
 }
 

@@ -78,6 +78,10 @@ struct RefineReport {
   int tiles = 0;
   double seconds = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres
+
+  // Of the model and the maps nothing is listed.
+  MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, regions_compared,
+               regions_taken, tiles, iterations)
 };
 
 struct RefineResult {
