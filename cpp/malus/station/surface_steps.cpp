@@ -78,12 +78,10 @@ FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const C
 Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& prior, const PolarizationState& state,
               const RefinementFindings* refinement) {
   const StationFile& station = job.station.file;
-  const Mask object = state.object();
   AssessInput input;
   input.surface = &surface;
   input.prior = &prior;
   input.polarization = &state;
-  input.object = &object;
   const Confidence confidence = assessed_confidence(input, job.context);
   return {{"name", station.name},
           {"object", fields_to_json(station.object)},
