@@ -2,7 +2,6 @@
 
 // Private to the station room: the parts of a station that enter the steps' keys, with a hash of every file or array.
 
-#include <cstddef>
 #include <filesystem>
 #include <map>
 #include <optional>
