@@ -16,7 +16,6 @@
 #include <iostream>
 #include <mutex>
 #include <new>
-#include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
 #include <system_error>
@@ -24,6 +23,7 @@
 #include <vector>
 
 #include "malus/core/version.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/options.h"
 #include "malus/station/overtaken_exports_internal.h"
 #include "malus/station/presets_internal.h"
@@ -82,21 +82,19 @@ class Reporter {
  private:
   /// The last event: `confidence` as in quality.json, null if there is no surface, and every warning of the run.
   void write_result(const std::optional<malus::SurfaceConfidence>& surface) {
-    nlohmann::ordered_json confidence;
-    if (surface) {
-      confidence = {{"level", enum_name(surface->confidence.level)}, {"reasons", surface->confidence.reasons}};
-    }
+    malus::Json confidence;
+    if (surface) confidence = malus::fields_to_json(surface->confidence);
     write({{"event", "result"},
            {"confidence", confidence},
            {"assessed", surface && surface->assessed},
            {"warnings", warnings_}});
   }
 
-  void write(nlohmann::ordered_json event) {
+  void write(malus::Json event) {
     const auto elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_);
     event["seconds"] = elapsed.count();
     errno = 0;
-    std::cout << event.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << std::endl;
+    std::cout << event.dump(-1, ' ', false, malus::Json::error_handler_t::replace) << std::endl;
     if (!std::cout && errno == EPIPE) interrupted.store(true);  // nobody reads any more
   }
 

@@ -20,12 +20,9 @@ std::vector<Row> to_rows(const Array<T>& array) {
 /// N×3 array from N rows of three values.
 template <class T, class Row>
 py::array_t<T> to_array(const std::vector<Row>& rows) {
-  py::array_t<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
-  auto view = array.template mutable_unchecked<2>();
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    for (py::ssize_t c = 0; c < 3; ++c) view(static_cast<py::ssize_t>(i), c) = rows[i][static_cast<unsigned>(c)];
-  }
-  return array;
+  static_assert(sizeof(Row) == 3 * sizeof(T));
+  return py::array_t<T>({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}},
+                        reinterpret_cast<const T*>(rows.data()));
 }
 
 /// Cloud from N×3 points, optionally with a normal or a color for each point.

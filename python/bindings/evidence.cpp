@@ -15,12 +15,6 @@
 namespace malus::python {
 namespace {
 
-py::dict to_dict(const Finding& finding) {
-  py::dict result = by_fields(finding);
-  result["figures"] = py::dict(result["figures"]);  // from pairs of name and value
-  return result;
-}
-
 /// An H×W×4 array of the parts of the image: u, v, disagreement, standard deviation of the disagreement.
 py::array_t<double> parts_array(const PhaseAgreement& agreement) {
   constexpr py::ssize_t side = PhaseAgreement::parts_per_side;
@@ -37,7 +31,7 @@ py::array_t<double> parts_array(const PhaseAgreement& agreement) {
 }
 
 py::dict to_dict(const PriorAlignment& alignment) {
-  py::dict result = to_dict(alignment.finding);
+  py::dict result = by_fields(alignment.finding);
   result["instead"] = alignment.instead;
   return result;
 }
@@ -50,54 +44,50 @@ void bind_evidence(py::module_& module) {
     const PhaseAgreement agreement = computed(threads, [&](const Context& context) {
       return phase_agreement(state, view ? &view->camera : nullptr, normals, context);
     });
-    py::dict result = to_dict(agreement.finding);
+    py::dict result = by_fields(agreement.finding);
     result["parts"] = parts_array(agreement);
     return result;
   });
 
   module.def("check_cloud", [](const Array<double>& points, const std::optional<Array<float>>& normals,
                                const std::optional<Array<std::uint8_t>>& colors, const PolarizationState& state,
-                               const std::optional<Image<float>>& scene, const std::optional<Mask>& mask,
-                               const RasterView& view, const std::string& unit, int threads) {
+                               const std::optional<Image<float>>& scene, const Mask& mask, const RasterView& view,
+                               const std::string& unit, int threads) {
     const PointCloud cloud = to_cloud(points, normals, colors);
     const Image<float> picture = scene.value_or(Image<float>());
-    const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
     return to_dict(computed(threads, [&](const Context& context) {
-      return check_alignment(cloud, view.pose, {state, picture, object, view.camera, unit}, context);
+      return check_alignment(cloud, view.pose, {state, picture, mask, view.camera, unit}, context);
     }));
   });
 
   module.def("check_depth",
              [](const Image<float>& depth, const PolarizationState& state, const std::optional<Image<float>>& scene,
-                const std::optional<Mask>& mask, const RasterView& view, const std::string& unit, int threads) {
+                const Mask& mask, const RasterView& view, const std::string& unit, int threads) {
                const Image<float> picture = scene.value_or(Image<float>());
-               const Mask object = mask ? *mask : Mask(state.size(), 1, 255);
                return to_dict(computed(threads, [&](const Context& context) {
-                 return check_alignment(depth, {state, picture, object, view.camera, unit}, context);
+                 return check_alignment(depth, {state, picture, mask, view.camera, unit}, context);
                }));
              });
 
   module.def("check_size", [](const Array<double>& points_in_cam, const RasterView& view, const std::string& unit) {
     const PointCloud cloud = to_cloud(points_in_cam);
-    return to_dict(computed(1, [&](const Context&) { return object_size(cloud.points, view.camera, unit); }).finding);
+    return by_fields(computed(1, [&](const Context&) { return object_size(cloud.points, view.camera, unit); }).finding);
   });
 
-  module.def("check_order", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                               const std::optional<Mask>& mask) {
-    const Mask object = mask.value_or(Mask());
-    const ImageOrder order =
-        computed(1, [&](const Context& context) { return check_image_order(images, angles_rad, object, context); });
-    py::dict result = to_dict(order.finding);
-    result["angles_rad"] = order.angles_rad;
-    return result;
-  });
+  module.def("check_order",
+             [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad, const Mask& mask) {
+               const ImageOrder order = computed(
+                   1, [&](const Context& context) { return check_image_order(images, angles_rad, mask, context); });
+               py::dict result = by_fields(order.finding);
+               result["angles_rad"] = order.angles_rad;
+               return result;
+             });
 
   module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                                  const std::optional<Mask>& mask, const std::string& response) {
-    const Mask object = mask.value_or(Mask());
-    return to_dict(computed(1, [&](const Context& context) {
-                     return check_response(images, angles_rad, object, response, context);
-                   }).finding);
+                                  const Mask& mask, const std::string& response) {
+    return by_fields(computed(1, [&](const Context& context) {
+                       return check_response(images, angles_rad, mask, response, context);
+                     }).finding);
   });
 }
 

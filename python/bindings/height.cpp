@@ -32,10 +32,8 @@ void bind_height(py::module_& module) {
       .def_readonly("light", &HeightMap::light)
       .def_property_readonly("status", [](const HeightMap& map) { return enum_name(map.status); })
       .def_readonly("residual_rms", &HeightMap::residual_rms);
-  module.def("estimate_light", [](const Image<float>& intensity, const Image<float>& normals,
-                                  const std::optional<Mask>& given_mask, const std::optional<RasterView>& view,
-                                  const Options& options, int threads) {
-    const Mask mask = given_mask ? *given_mask : Mask(intensity.size(), 1, 255);
+  module.def("estimate_light", [](const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
+                                  const std::optional<RasterView>& view, const Options& options, int threads) {
     return light_to_dict(computed(threads, [&](const Context& context) {
       return estimate_light(intensity, normals, mask, view ? &view->camera : nullptr, options.light, context);
     }));
@@ -48,23 +46,28 @@ void bind_height(py::module_& module) {
                                      context);
     }));
   });
-  module.def("solve_height",
-             [](const PolarizationState& state, const ReflectionMap& reflection, const std::optional<RasterView>& view,
-                const std::optional<Eigen::Vector4d>& light, const std::optional<Image<float>>& normals,
-                const std::optional<Image<float>>& depth, const Options& options, int threads) {
-               if (depth && !view) throw input_error("prior_depth needs the camera in whose view it is");
-               return computed(threads, [&](const Context& context) {
-                 Image<float> prior_height;
-                 if (depth) prior_height = height_from_depth(*depth, view->camera, options.height.perspective, context);
-                 return solve_height({.polarization = state,
-                                      .reflection = reflection,
-                                      .camera = view ? &view->camera : nullptr,
-                                      .light = light,
-                                      .prior_normals = normals ? &*normals : nullptr,
-                                      .prior_height = depth ? &prior_height : nullptr},
-                                     options.height, options.light, context);
-               });
-             });
+  module.def("solve_height", [](const PolarizationState& state, const ReflectionMap& reflection,
+                                const std::optional<RasterView>& view, const std::optional<Eigen::Vector4d>& known,
+                                const std::optional<Image<float>>& normals, const std::optional<Image<float>>& depth,
+                                const Options& options, int threads) {
+    if (depth && !view) throw input_error("prior_depth needs the camera in whose view it is");
+    const Pinhole* camera = view ? &view->camera : nullptr;
+    const Pinhole* rays = options.height.perspective ? camera : nullptr;
+    return computed(threads, [&](const Context& context) {
+      LightEstimate light;
+      if (known) {
+        light.coefficients = *known;
+        judge_direction(light, rays, state.size(), options.light);
+      } else if (normals) {
+        light = estimate_light(state.i_un, *normals, state.valid_pixels(), rays, options.light, context);
+      } else {
+        light = light_from_polarization(state, reflection, std::nullopt, rays, options.light, context);
+      }
+      Image<float> prior_height;
+      if (depth) prior_height = height_from_depth(*depth, view->camera, options.height.perspective, context);
+      return solve_height({state, reflection, camera, light, depth ? &prior_height : nullptr}, options.height, context);
+    });
+  });
 }
 
 }  // namespace malus::python

@@ -76,10 +76,8 @@ void bind_io(py::module_& module) {
     RawImage image = computed(1, [&](const Context&) { return read_image(path, "photo"); });
     return std::pair(std::move(image.pixels), image.full_scale_dn);
   });
-  module.def("read_mask",
-             [](const std::string& path) { return computed(1, [&](const Context&) { return read_mask(path); }); });
-  module.def("read_intensity",
-             [](const std::string& path) { return computed(1, [&](const Context&) { return read_intensity(path); }); });
+  module.def("read_mask", &read_mask, WithoutGil());
+  module.def("read_intensity", &read_intensity, WithoutGil());
   module.def("image_size", [](const std::string& path) {
     const Size size = read_image_size(path, "photo");
     return py::make_tuple(size.width, size.height);

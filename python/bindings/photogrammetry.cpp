@@ -136,10 +136,7 @@ py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pi
     done = refine_model(model, std::move(images), preferred, lenses, options.photos, context);
   });
   py::dict result = by_fields(done);
-  result["iterations"] = done.adjustment.iterations;
-  result["rms_before_px"] = done.adjustment.rms_before_px;
-  result["rms_after_px"] = done.adjustment.rms_after_px;
-  result["unit_weight"] = done.adjustment.unit_weight;
+  result.attr("update")(by_fields(done.adjustment));
   py::dict sigmas;
   for (const auto& [name, text] : freedom) {
     const auto found = done.lens_sigma.find(model.image(name, "freedom").camera_id);

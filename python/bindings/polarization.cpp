@@ -22,15 +22,14 @@ namespace {
 
 template <class Sample>
 PolarizationState decompose_arrays(const std::vector<Array<Sample>>& arrays, const std::vector<double>& angles_rad,
-                                   const std::optional<Mask>& mask, double full_well_e, double read_noise_e,
-                                   int frames_averaged, const Options& options, int threads) {
+                                   const Mask& mask, double full_well_e, double read_noise_e, int frames_averaged,
+                                   const Options& options, int threads) {
   std::vector<const Sample*> images;
   for (const auto& array : arrays) images.push_back(array.data());
   const Size size{static_cast<int>(arrays.at(0).shape(1)), static_cast<int>(arrays.at(0).shape(0))};
   return computed(threads, [&](const Context& context) {
     return decompose(size, std::span<const Sample* const>(images), angles_rad,
-                     {full_well_e, read_noise_e, 0, frames_averaged}, mask.value_or(Mask()), {}, options.polarization,
-                     context);
+                     {full_well_e, read_noise_e, 0, frames_averaged}, mask, {}, options.polarization, context);
   });
 }
 
@@ -130,22 +129,21 @@ void bind_polarization(py::module_& module) {
   bind_decompose<float>(module, "decompose");
   bind_decompose<std::uint16_t>(module, "decompose_16_bit");
 
-  module.def("fit_polarizer", [](const std::vector<Image<float>>& images, const std::vector<double>& nominal_rad,
-                                 const std::optional<Mask>& given_mask, double full_well_e, double read_noise_e,
-                                 int frames_averaged, const Options& options, int threads) {
-    const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
-    const Mask mask = given_mask ? *given_mask : Mask(images.at(0).size(), 1, 255);
-    const PolarizerFit fit = computed(threads, [&](const Context& context) {
-      return fit_polarizer(images, nominal_rad, noise, mask, {}, options.polarizer, context);
-    });
-    py::dict result;
-    result["angles_rad"] = fit.angles_rad;
-    result["gains"] = fit.gains;
-    result["residual_before"] = fit.residual_before;
-    result["residual_after"] = fit.residual_after;
-    result["improvement"] = fit.improvement();
-    return result;
-  });
+  module.def("fit_polarizer",
+             [](const std::vector<Image<float>>& images, const std::vector<double>& nominal_rad, const Mask& mask,
+                double full_well_e, double read_noise_e, int frames_averaged, const Options& options, int threads) {
+               const NoiseModel noise{full_well_e, read_noise_e, 0, frames_averaged};
+               const PolarizerFit fit = computed(threads, [&](const Context& context) {
+                 return fit_polarizer(images, nominal_rad, noise, mask, {}, options.polarizer, context);
+               });
+               py::dict result;
+               result["angles_rad"] = fit.angles_rad;
+               result["gains"] = fit.gains;
+               result["residual_before"] = fit.residual_before;
+               result["residual_after"] = fit.residual_after;
+               result["improvement"] = fit.improvement();
+               return result;
+             });
 
   module.def("calibrate_with_surface", &calibrated_with_surface);
 

@@ -15,9 +15,8 @@ namespace {
 
 /// The prior of a cloud, mesh, depth map or shape.
 template <class Source>
-DepthPrior project(const Source& source, const RasterView& view, const std::optional<Mask>& given_mask,
-                   const Options& options, int threads) {
-  const Mask mask = given_mask ? *given_mask : Mask(view.camera.size, 1, 255);
+DepthPrior project(const Source& source, const RasterView& view, const Mask& mask, const Options& options,
+                   int threads) {
   return computed(threads, [&](const Context& context) {
     return project_prior(source, view.camera, view.pose, mask, options.prior, context);
   });
@@ -50,28 +49,27 @@ void bind_prior(py::module_& module) {
       .def_readonly("smoothing_px", &DepthPrior::smoothing_px)
       .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
 
-  module.def("project_points",
-             [](const Array<double>& points, const std::optional<Array<float>>& normals, const RasterView& view,
-                const std::optional<Mask>& mask, const Options& options,
-                int threads) { return project(to_cloud(points, normals), view, mask, options, threads); });
-  module.def("project_mesh",
-             [](const Array<double>& vertices, const Array<std::uint32_t>& triangles, const RasterView& view,
-                const std::optional<Mask>& mask, const Options& options,
-                int threads) { return project(to_mesh(to_cloud(vertices), triangles), view, mask, options, threads); });
+  module.def("project_points", [](const Array<double>& points, const std::optional<Array<float>>& normals,
+                                  const RasterView& view, const Mask& mask, const Options& options, int threads) {
+    return project(to_cloud(points, normals), view, mask, options, threads);
+  });
+  module.def("project_mesh", [](const Array<double>& vertices, const Array<std::uint32_t>& triangles,
+                                const RasterView& view, const Mask& mask, const Options& options, int threads) {
+    return project(to_mesh(to_cloud(vertices), triangles), view, mask, options, threads);
+  });
   module.def("project_depth",
-             [](const Image<float>& depth, const RasterView& view, const std::optional<Mask>& mask,
-                const Options& options, int threads) { return project(depth, view, mask, options, threads); });
-  module.def("project_swept",
-             [](Image<float>& depth, Image<float>& sigma, std::optional<Image<float>>& surface, const RasterView& view,
-                const std::optional<Mask>& mask, const Options& options, int threads) {
-               SweptDepth swept;
-               swept.depth = std::move(depth);
-               swept.sigma = std::move(sigma);
-               if (surface) swept.shape = std::move(*surface);
-               return project(swept, view, mask, options, threads);
-             });
-  module.def("project_shape", [](const std::string& shape, double sigma, const RasterView& view,
-                                 const std::optional<Mask>& mask, Options options, int threads) {
+             [](const Image<float>& depth, const RasterView& view, const Mask& mask, const Options& options,
+                int threads) { return project(depth, view, mask, options, threads); });
+  module.def("project_swept", [](Image<float>& depth, Image<float>& sigma, std::optional<Image<float>>& surface,
+                                 const RasterView& view, const Mask& mask, const Options& options, int threads) {
+    SweptDepth swept;
+    swept.depth = std::move(depth);
+    swept.sigma = std::move(sigma);
+    if (surface) swept.shape = std::move(*surface);
+    return project(swept, view, mask, options, threads);
+  });
+  module.def("project_shape", [](const std::string& shape, double sigma, const RasterView& view, const Mask& mask,
+                                 Options options, int threads) {
     options.prior.sigma = sigma;
     return project(read_given_shape(shape), view, mask, options, threads);
   });

@@ -1,5 +1,6 @@
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
 
 #include <algorithm>
 #include <tuple>
@@ -163,7 +164,7 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const StationFile& station
 void bind_options(py::module_& module) {
   module.def("option_schema", &option_schema_json);
   module.def("default_options", [] { return Options(); });
-  module.def("preset_options", [](const std::string& name) { return preset_options(name); });
+  module.def("preset_options", &preset_options);
   module.def("presets", [] {
     py::list all;
     for (const Preset& preset : presets())
@@ -175,8 +176,7 @@ void bind_options(py::module_& module) {
     set_option(options, assignment);
     return options;
   });
-  module.def("options_from_file",
-             [](const Options& options, const std::string& path) { return options_from_file(options, path); });
+  module.def("options_from_file", &options_from_file);
 }
 
 void bind_run(py::module_& module) {
@@ -189,12 +189,7 @@ void bind_run(py::module_& module) {
   });
 
   py::class_<Station>(module, "Station")
-      .def_static(
-          "load",
-          [](const std::string& path, const std::optional<std::string>& photos_of) {
-            return photos_of ? Station::load(path, *photos_of) : Station::load(path);
-          },
-          py::arg("path"), py::arg("photos_of"), WithoutGil())
+      .def_static("load", &Station::load, py::arg("path"), py::arg("photos_of"), WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
                   py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"), py::arg("labels"))
@@ -215,13 +210,16 @@ void bind_run(py::module_& module) {
 
   module.def(
       "reconstruct",
-      [](const Station& station, const Options& options, int threads, const std::optional<std::string>& workspace,
-         bool replace, const std::optional<std::string>& until, const std::optional<std::string>& reference,
-         bool keep_maps, const std::shared_ptr<Results>& known, const py::object& on_progress,
-         const py::object& on_log) {
-        RunOptions run{.replace = replace, .until = until, .keep_maps = keep_maps, .known = known.get()};
-        if (workspace) run.workspace = *workspace;
-        if (reference) run.reference = *reference;
+      [](const Station& station, const Options& options, int threads,
+         const std::optional<std::filesystem::path>& workspace, bool replace, const std::optional<std::string>& until,
+         const std::optional<std::filesystem::path>& reference, bool keep_maps, const std::shared_ptr<Results>& known,
+         const py::object& on_progress, const py::object& on_log) {
+        const RunOptions run{.workspace = workspace,
+                             .replace = replace,
+                             .until = until,
+                             .reference = reference,
+                             .keep_maps = keep_maps,
+                             .known = known.get()};
         auto results = std::make_shared<Results>();
         run_interruptible(threads, on_progress, on_log,
                           [&](const Context& context) { *results = reconstruct(station, options, run, context); });
@@ -234,16 +232,14 @@ void bind_run(py::module_& module) {
 }
 
 void bind_workspace(py::module_& module) {
-  module.def("claim_workspace", [](const std::string& folder, const Station& station, bool replace) {
-    claim_workspace(folder, station, replace);
-  });
+  module.def("claim_workspace", &claim_workspace);
   module.def("surface_confidence", [](const std::string& folder) -> py::object {
     const auto found = surface_confidence(folder);
     if (!found) return py::none();
     const Confidence& confidence = found->confidence;
     return py::make_tuple(enum_name(confidence.level), confidence.reasons, found->assessed);
   });
-  module.def("overtaken_exports", [](const std::string& folder) { return overtaken_exports(folder); });
+  module.def("overtaken_exports", &overtaken_exports);
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
   module.def("surface_words", [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
   module.def("surface_extras", [](const std::string& quality, const std::string& versions) {
@@ -251,7 +247,7 @@ void bind_workspace(py::module_& module) {
   });
   module.attr("refined_nowhere") = refined_nowhere;
   module.attr("refined_everywhere") = refined_everywhere;
-  module.def("forget_step", [](const std::string& folder, const std::string& step) { forget_step(folder, step); });
+  module.def("forget_step", &forget_step);
   py::class_<StepWatch>(module, "StepWatch").def(py::init<>()).def("stop", [](StepWatch& watch) {
     return watch.stop().dump();
   });

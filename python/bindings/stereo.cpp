@@ -22,8 +22,8 @@ void bind_stereo(py::module_& module) {
   module.def("sweep_surface",
              [](Image<float>& intensity, const CameraValues& station_camera,
                 const std::vector<std::pair<PhotoSource, CameraValues>>& photos, const Array<double>& points,
-                std::optional<std::pair<Image<float>, Image<float>>>& surface, const std::optional<Mask>& mask,
-                const Options& options, int threads, const py::object& on_progress, const py::object& on_log) {
+                std::optional<std::pair<Image<float>, Image<float>>>& surface, Mask& mask, const Options& options,
+                int threads, const py::object& on_progress, const py::object& on_log) {
                SweepInput input;
                input.intensity = std::move(intensity);
                const auto [camera, pose] = to_camera(station_camera, "camera");
@@ -32,7 +32,7 @@ void bind_stereo(py::module_& module) {
                }
                input.camera = camera.pinhole();
                input.pose = pose;
-               input.mask = mask ? *mask : Mask(input.camera.size, 1, 255);
+               input.mask = std::move(mask);
                input.points = to_cloud(points).points;
                if (surface) {
                  input.surface = std::move(surface->first);
@@ -53,8 +53,6 @@ void bind_stereo(py::module_& module) {
                result["depth"] = std::move(found.depth);
                result["sigma"] = std::move(found.sigma);
                result["confidence"] = std::move(found.confidence);
-               result["points_total"] = static_cast<std::size_t>(found.points_total);
-               result["points_used"] = static_cast<std::size_t>(found.points_used);
                return result;
              });
   module.def("visual_hull", [](const CameraValues& station_camera, const Mask& mask,

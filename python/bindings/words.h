@@ -2,7 +2,9 @@
 
 #include <pybind11/pybind11.h>
 
+#include <concepts>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "malus/core/error.h"
@@ -13,7 +15,8 @@
 namespace malus::python {
 
 /// Converts a struct that lists its fields (core/field_list.h) to a dict, a std::vector of such structs to a list of
-/// dicts, an Eigen vector to a list of numbers, and an enumeration with names to the name.
+/// dicts, pairs of name and number to a dict, an Eigen vector to a list of numbers, and an enumeration with names to
+/// the name.
 template <class T>
 pybind11::object by_fields(const T& value) {
   if constexpr (requires { T::fields(value, [](auto&&...) {}); }) {
@@ -24,6 +27,8 @@ pybind11::object by_fields(const T& value) {
     pybind11::list list;
     for (const auto& element : value) list.append(by_fields(element));
     return list;
+  } else if constexpr (std::same_as<T, std::vector<std::pair<std::string, double>>>) {
+    return pybind11::dict(pybind11::cast(value));
   } else if constexpr (NamedEnum<T>) {
     return pybind11::str(std::string(enum_name(value)));
   } else if constexpr (requires { requires T::ColsAtCompileTime == 1; }) {

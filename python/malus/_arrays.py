@@ -138,10 +138,10 @@ def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int)
         raise ValueError(f"frames_averaged = {frames_averaged}, expected 1 or more")
 
 
-def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
-    """H×W, 255 where the values are neither zero nor NaN; None without values."""
+def as_mask(values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """H×W, 255 where the values are neither zero nor NaN; without values everywhere."""
     if values is None:
-        return None
+        return np.full(shape, 255, np.uint8)
     array = unmasked(values, "mask")
     if array.dtype.kind not in "fiub":
         raise ValueError(f"mask has type {array.dtype}, expected numbers, or true and false")

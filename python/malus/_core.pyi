@@ -187,7 +187,7 @@ def sweep_surface(
     views: list[tuple[_Float32 | str, _CameraValues]],
     points: _Float64,
     surface: tuple[_Float32, _Float32] | None,
-    mask: _Bytes | None,
+    mask: _Bytes,
     options: str,
     threads: int,
     progress: Callable[[str, float, str], None] | None,
@@ -264,7 +264,7 @@ def undistort(image: _Float32, camera: _CameraValues, threads: int) -> _Float32:
 def fit_polarizer(
     images: Sequence[_Float32],
     nominal_rad: Sequence[float],
-    mask: _Bytes | None,
+    mask: _Bytes,
     full_well_e: float,
     read_noise_e: float,
     frames_averaged: int,
@@ -272,7 +272,7 @@ def fit_polarizer(
     threads: int,
 ) -> dict[str, Any]: ...
 def estimate_light(
-    intensity: _Float32, normals: _Float32, mask: _Bytes | None, camera: Camera | None, options: str, threads: int
+    intensity: _Float32, normals: _Float32, mask: _Bytes, camera: Camera | None, options: str, threads: int
 ) -> dict[str, Any]: ...
 def light_from_polarization(
     state: PolarizationState,
@@ -293,7 +293,7 @@ def register_images(
 def decompose(
     images: Sequence[_Float32],
     angles_rad: Sequence[float],
-    mask: _Bytes | None,
+    mask: _Bytes,
     full_well_e: float,
     read_noise_e: float,
     frames_averaged: int,
@@ -303,7 +303,7 @@ def decompose(
 def decompose_16_bit(
     images: Sequence[NDArray[np.uint16]],
     angles_rad: Sequence[float],
-    mask: _Bytes | None,
+    mask: _Bytes,
     full_well_e: float,
     read_noise_e: float,
     frames_averaged: int,
@@ -332,7 +332,7 @@ def check_cloud(
     colors: _Bytes | None,
     state: PolarizationState,
     scene: _Float32 | None,
-    mask: _Bytes | None,
+    mask: _Bytes,
     camera: Camera,
     unit: str,
     threads: int,
@@ -341,14 +341,14 @@ def check_depth(
     depth: _Float32,
     state: PolarizationState,
     scene: _Float32 | None,
-    mask: _Bytes | None,
+    mask: _Bytes,
     camera: Camera,
     unit: str,
     threads: int,
 ) -> dict[str, Any]: ...
-def check_order(images: Sequence[_Float32], angles_rad: Sequence[float], mask: _Bytes | None) -> dict[str, Any]: ...
+def check_order(images: Sequence[_Float32], angles_rad: Sequence[float], mask: _Bytes) -> dict[str, Any]: ...
 def check_response(
-    images: Sequence[_Float32], angles_rad: Sequence[float], mask: _Bytes | None, response: str
+    images: Sequence[_Float32], angles_rad: Sequence[float], mask: _Bytes, response: str
 ) -> dict[str, Any]: ...
 def check_size(points_in_cam: _Float64, camera: Camera, unit: str) -> dict[str, Any]: ...
 def angle_of_name(file: Any, pattern: str, where: str) -> float: ...
@@ -357,7 +357,7 @@ def project_points(
     points: _Float64,
     normals: _Float32 | None,
     camera: Camera,
-    mask: _Bytes | None,
+    mask: _Bytes,
     options: str,
     threads: int,
 ) -> DepthPrior: ...
@@ -365,23 +365,21 @@ def project_mesh(
     vertices: _Float64,
     triangles: NDArray[np.uint32],
     camera: Camera,
-    mask: _Bytes | None,
+    mask: _Bytes,
     options: str,
     threads: int,
 ) -> DepthPrior: ...
-def project_depth(depth: _Float32, camera: Camera, mask: _Bytes | None, options: str, threads: int) -> DepthPrior: ...
+def project_depth(depth: _Float32, camera: Camera, mask: _Bytes, options: str, threads: int) -> DepthPrior: ...
 def project_swept(
     depth: _Float32,
     sigma: _Float32,
     surface: _Float32 | None,
     camera: Camera,
-    mask: _Bytes | None,
+    mask: _Bytes,
     options: str,
     threads: int,
 ) -> DepthPrior: ...
-def project_shape(
-    shape: str, sigma: float, camera: Camera, mask: _Bytes | None, options: str, threads: int
-) -> DepthPrior: ...
+def project_shape(shape: str, sigma: float, camera: Camera, mask: _Bytes, options: str, threads: int) -> DepthPrior: ...
 def solve_height(
     state: PolarizationState,
     reflection: ReflectionMap,

@@ -16,8 +16,8 @@ def plain(value: Any, where: str) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        inner = f"{where}[{{}}]" if where.endswith(": ") else f"{where}.{{}}"
-        return {key: plain(item, inner.format(key)) for key, item in value.items()}
+        is_top = where.endswith(": ")
+        return {key: plain(item, f"{where}[{key}]" if is_top else f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):

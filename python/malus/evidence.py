@@ -85,7 +85,7 @@ def check_phase(
 
 def _scene_and_mask(
     state: PolarizationState, camera: Camera, scene: ArrayLike | None, mask: ArrayLike | None
-) -> tuple[NDArray[Any] | None, NDArray[np.uint8] | None]:
+) -> tuple[NDArray[Any] | None, NDArray[np.uint8]]:
     shape = state.unpolarized.shape
     if (camera.height, camera.width) != shape:
         raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as the state")

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
-import numpy as np
-
 from malus import _core, _option_types
 from malus._option_types import Sections, Values
+from malus._plain import plain
 from malus._section import Section
-from malus.errors import InputError
 
 _SCHEMA: dict[str, dict[str, dict[str, Any]]] = json.loads(_core.option_schema())
 
@@ -33,17 +30,6 @@ MAIN = {
     "surface.dem_pixel": "Pixel of the elevation model",
     "assess.alignment": "Move onto the reference first",
 }
-
-
-def _plain(value: Any, name: str) -> Any:
-    """The value as JSON has it: numbers are often NumPy's; InputError for numbers that are not finite, and for other types."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"option {name} = {value}, expected a finite number")
-    if value is not None and not isinstance(value, bool | int | float | str | list | tuple | dict):
-        raise InputError(f"option {name} = {value!r}, expected a number, a text, true or false")
-    return value
 
 
 class Options(Sections):
@@ -78,10 +64,10 @@ class Options(Sections):
         for name, given in changes.items():
             value = given._options._values[given._name] if isinstance(given, Section) else given
             if isinstance(value, Mapping):
-                changed = {key: _plain(item, f"{name}.{key}") for key, item in value.items()}
+                changed = {key: plain(item, f"option {name}.{key}") for key, item in value.items()}
                 merged[name] = {**merged.get(name, {}), **changed}
             else:
-                merged[name] = _plain(value, name)
+                merged[name] = plain(value, f"option {name}")
         self._values = json.loads(_core.check_options(json.dumps(merged)))
 
     def set(self, assignment: str) -> None:

@@ -230,7 +230,7 @@ class Station:
             camera=None if camera is None else camera.values(),
             tables=json.dumps(plain(tables, "station: ")),
             **arrays,
-            mask=as_mask(mask, shape),
+            mask=None if mask is None else as_mask(mask, shape),
             labels=labels,
         )
         if not has_white:

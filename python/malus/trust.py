@@ -47,21 +47,16 @@ def said_of(quality: Mapping[str, Any]) -> dict[str, str]:
     """What every exported file states about its surface, one line each: the entries of [object], unit, pixel, confidence and its
     reasons, origin of the detail, program. The files that a run itself writes get these lines from the same C++ function.
     """
-    said: dict[str, str] = json.loads(_core.surface_words(json.dumps(_facts(quality))))
+    said: dict[str, str] = json.loads(_core.surface_words(json.dumps(quality)))
     return said
 
 
 def extras_of(quality: Mapping[str, Any], versions: Mapping[str, str]) -> str:
     """The statements of `said_of` as JSON, for asset.extras of a GLB file."""
-    return _core.surface_extras(json.dumps(_facts(quality)), json.dumps(versions))
+    return _core.surface_extras(json.dumps(quality), json.dumps(versions))
 
 
 def words_of(quality: Mapping[str, Any]) -> dict[str, str]:
     """The statements of `said_of` without the catalog entries: unit, pixel, confidence and its reasons, origin of the detail, program."""
     said = said_of(quality)
     return {key: said.get(key, "") for key in ("unit", "pixel", "confidence", "reasons", "detail", "made_by")}
-
-
-def _facts(quality: Mapping[str, Any]) -> dict[str, Any]:
-    asked = ("name", "object", "unit", "gsd", "confidence", "refinement", "polarization")
-    return {key: quality[key] for key in asked if key in quality}

@@ -111,8 +111,12 @@ void grid_systems() {
 void height() {
   using namespace height_scenes;
   const Scene scene = render(bumps(64), {64, 64}, nullptr, {0.3, -0.2, -0.8, 0}, 0.002);
-  const HeightInput input{scene.state, scene.reflection, nullptr, {}, &scene.normals, nullptr};
-  count("height", [&] { return solve_height(input, {}, {}, one_thread).status == HeightStatus::converged; });
+  count("height", [&] {
+    const LightEstimate light =
+        estimate_light(scene.state.i_un, scene.normals, scene.state.valid_pixels(), nullptr, {}, one_thread);
+    const HeightInput input{scene.state, scene.reflection, nullptr, light, nullptr};
+    return solve_height(input, {}, one_thread).status == HeightStatus::converged;
+  });
 }
 
 void prior() {

@@ -84,7 +84,6 @@ void limit_by_gaps(const AssessInput& input, Confidence& confidence, const Conte
 }  // namespace
 
 bool is_object(const AssessInput& input, std::size_t pixel) {
-  if (input.object != nullptr) return (*input.object)[pixel] != 0;
   if (input.polarization != nullptr) {
     return !has_state(input.polarization->valid[pixel], PixelState::outside);
   }

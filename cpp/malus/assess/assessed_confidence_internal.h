@@ -6,7 +6,7 @@
 
 namespace malus {
 
-/// Whether a pixel is on the object, according to the first of these that the input has: mask, polarization, any depth.
+/// Whether a pixel is on the object, by the polarization, or without one by any depth.
 bool is_object(const AssessInput& input, std::size_t pixel);
 
 /// Share of the object's pixels with usable polarization; NaN without an object. The input must have a polarization.

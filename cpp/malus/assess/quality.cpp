@@ -38,7 +38,6 @@ void require_sizes(const AssessInput& input) {
     require_size(input.polarization->rho, size, "the degree of polarization");
     require_size(input.polarization->residual, size, "the polarization residual");
   }
-  if (input.object != nullptr) require_size(*input.object, size, "the object mask");
 }
 
 CoverageFigures measure_coverage(const AssessInput& input, const Context& context) {

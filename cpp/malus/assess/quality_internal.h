@@ -119,7 +119,6 @@ struct AssessInput {
   const DepthPrior* prior = nullptr;
   const HeightMap* height = nullptr;
   const PolarizationState* polarization = nullptr;
-  const Mask* object = nullptr;             ///< non-zero = object; null = polarization's, else pixels with any depth
   const TriangleMesh* reference = nullptr;  ///< world frame; a cloud if it has no triangles
   std::vector<double> registration_rms_px;
   std::vector<PatchSpec> patches;

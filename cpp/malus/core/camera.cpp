@@ -118,6 +118,10 @@ int parameter_count(LensModel model) {
   return entry(model).parameters;
 }
 
+int principal_point_index(LensModel model) {
+  return entry(model).undistorted - 2;
+}
+
 LensModel lens_model(std::string_view name, const std::string& where) {
   std::string names;
   for (const Model& candidate : models) {

@@ -52,6 +52,8 @@ std::string_view to_string(LensModel model);
 LensModel lens_model(std::string_view name, const std::string& where);
 /// Number of parameters of a model.
 int parameter_count(LensModel model);
+/// Index of cx among the parameters of a model; cy follows. Not for `brown`.
+int principal_point_index(LensModel model);
 
 /// Camera with lens distortion.
 ///

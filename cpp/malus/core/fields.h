@@ -39,8 +39,8 @@ inline constexpr Range fraction_range{0.0, 1.0};
 //     }
 //   };
 //
-// That one list feeds TOML, --set, Python, repr, the manifest and validation. Field types: bool, int, double,
-// std::string, an enum with names_of, and std::optional of int or double.
+// That one list feeds TOML, --set, Python, repr, the manifest and validation. Field types: bool, int, double, an enum
+// with names_of, and std::optional of int or double.
 
 template <class T>
 concept NamedEnum = std::is_enum_v<T> && requires(T value) {

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -35,10 +34,6 @@ namespace malus {
 namespace {
 
 constexpr std::size_t sample_count = 40000;
-
-double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
 
 std::vector<RowRange> rows_of(const std::vector<TileStrip>& strips) {
   std::vector<RowRange> rows;
@@ -576,7 +571,6 @@ class Refiner {
   }
 
   void round(double widening, bool fit, bool regional) {
-    const auto start = std::chrono::steady_clock::now();
     if (fit) lobe_gain_ = fit_reflection(image_, options_, is_mirror_known_, report_, map_, context_);
     const WeightOptions weights = this->weights(widening, regional);
     const int margin = whole_blocks(options_.margin_px) + whole_blocks(tile_ring_px + weights_reach_px);
@@ -605,7 +599,7 @@ class Refiner {
     const double change = blended.replace(image_.x, image_.object, context_);
     report_.iterations.push_back({binning_, searching_, statistics.cost_before, statistics.cost_after,
                                   quality.robust_cost, quality.median_residual, change, statistics.rejected_steps,
-                                  statistics.failed_tiles, statistics.tiles, seconds_since(start)});
+                                  statistics.failed_tiles, statistics.tiles});
   }
 
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
@@ -708,7 +702,6 @@ class Refiner {
 
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context) {
-  const auto start = std::chrono::steady_clock::now();
   validate_fields(options, "fusion");
   RefinementImage image = make_image(state, prior, context);
   if (input.refractive_index)
@@ -723,7 +716,6 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   refiner.weigh_evidence(prior);
   result.surface = refiner.finish(prior);
   judge(result.report, options.explained_least, result.surface);
-  result.report.seconds = seconds_since(start);
   return result;
 }
 

@@ -38,7 +38,6 @@ struct RefineIteration {
   int rejected_steps = 0;
   int failed_tiles = 0;  ///< whose equations could not be solved: their surface is that of the round before
   int tiles = 0;         ///< that hold a part of the object, out of RefineReport::tiles
-  double seconds = 0;
 
   MALUS_FIELDS(binning, cost_before, cost_after, stokes_cost, median_residual, change_gsd, rejected_steps, failed_tiles)
 };
@@ -76,8 +75,11 @@ struct RefineReport {
   double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
   int regions_compared = 0, regions_taken = 0;  ///< by the search for a better minimum
   int tiles = 0;
-  double seconds = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres
+
+  // Of the model and the maps nothing is listed.
+  MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, regions_compared,
+               regions_taken, tiles, iterations)
 };
 
 struct RefineResult {

@@ -10,7 +10,6 @@
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/height/height_problem_internal.h"
-#include "malus/lighting/light_from_polarization_internal.h"
 
 namespace malus {
 namespace {
@@ -27,7 +26,6 @@ void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");
   const Size size = input.polarization.size();
   require_size(input.reflection.label, size, "reflection labels");
-  if (input.prior_normals != nullptr) require_size(*input.prior_normals, size, "prior normals");
   if (options.boundary == HeightBoundary::prior && input.prior_height == nullptr) {
     throw input_error("height.boundary = \"prior\" needs the height of the prior");
   }
@@ -205,54 +203,30 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
   solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
 }
 
-/// The light from the first available source: an earlier estimate, the prior's normals, or polarization alone.
-LightEstimate light_of(const HeightInput& input, const Mask& valid, const Pinhole* camera, const LightOptions& options,
-                       const Context& context) {
-  if (input.estimated_light) return *input.estimated_light;
-  if (input.prior_normals != nullptr)
-    return estimate_light(input.polarization.i_un, *input.prior_normals, valid, camera, options, context);
-  return light_from_polarization(input.polarization, input.reflection, std::nullopt, camera, options, context);
-}
-
 }  // namespace
 
-HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const LightOptions& light_options,
-                       const Context& context) {
+HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const Context& context) {
   validate(input, options);
   const PolarizationState& state = input.polarization;
-  const Pinhole* camera = input.is_perspective(options) ? input.camera : nullptr;
   HeightMap map;
-  map.perspective = camera != nullptr;
+  map.perspective = input.is_perspective(options);
   map.height = Image<float>(state.size(), 1, no_value);
-
-  Mask valid = state.valid_pixels();
-  if (count_of_set(valid) == 0) {
+  if (count_of_set(state.valid_pixels()) == 0) {
     map.status = HeightStatus::no_valid_pixels;
     return map;
   }
-  double shading_sigma = 0;
-  double tangential = 0;
-  if (input.light) {
-    map.light = *input.light;
-    tangential = tangential_light(map.light.head<3>(), camera, state.size());
-  } else {
-    const LightEstimate light = light_of(input, valid, camera, light_options, context);
-    if (light.status == LightStatus::too_few_pixels || light.status == LightStatus::normals_alike) {
-      map.status = light.status == LightStatus::too_few_pixels ? HeightStatus::too_few_pixels_for_light
-                                                               : HeightStatus::normals_too_alike_for_light;
-      return map;
-    }
-    map.light = light.coefficients;
-    shading_sigma = light.robust_sigma;
-    tangential = light.tangential;
+  const LightStatus found = input.light.status;
+  if (found == LightStatus::too_few_pixels || found == LightStatus::normals_alike) {
+    map.status = found == LightStatus::too_few_pixels ? HeightStatus::too_few_pixels_for_light
+                                                      : HeightStatus::normals_too_alike_for_light;
+    return map;
   }
-  if (!(tangential >= light_options.min_tangential)) {
+  map.light = input.light.coefficients;
+  if (found != LightStatus::estimated) {
     map.status = HeightStatus::light_along_view;
     return map;
   }
-
-  valid = {};
-  const HeightLight model{map.light, shading_sigma};
+  const HeightLight model{map.light, input.light.robust_sigma};
 
   // Every pixel of the object gets a height; the smoothness term bridges pixels without usable polarization.
   const Mask object = state.object();

@@ -25,7 +25,7 @@ class HeightMean {
     sum_ += height;
     ++count_;
   }
-  float value() const { return count_ == 0 ? HeightPixel::no_height : static_cast<float>(0.5 * sum_ / count_); }
+  float value() const { return count_ == 0 ? no_value : static_cast<float>(0.5 * sum_ / count_); }
 
  private:
   double sum_ = 0;
@@ -113,7 +113,7 @@ HeightData height_data(const HeightInput& input, const HeightOptions& options, P
   parallel_pixels(context, box.size(), [&](int column, int row) {
     const int u = box.u0 + column, v = box.v0 + row;
     if (is_object(u - 1, v) && is_object(u + 1, v) && is_object(u, v - 1) && is_object(u, v + 1))
-      data.pixels(column, row).border_height = HeightPixel::no_height;
+      data.pixels(column, row).border_height = no_value;
   });
   return data;
 }
@@ -157,7 +157,7 @@ HeightData coarsened(const HeightInput& input, const HeightOptions& options, con
 }
 
 Image<float> refined_height(const Image<float>& coarse, const Mask& object, const Context& context) {
-  Image<float> fine(object.size(), 1, HeightPixel::no_height);
+  Image<float> fine(object.size(), 1, no_value);
   parallel_rows(context, object.height(), [&](int v) {
     const float at_v = 0.5F * (static_cast<float>(v) - 0.5F);
     const int row = static_cast<int>(std::floor(at_v));

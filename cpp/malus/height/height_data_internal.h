@@ -1,6 +1,5 @@
 #pragma once
 
-#include <limits>
 #include <optional>
 
 #include "malus/core/pixel_rect_internal.h"
@@ -14,11 +13,10 @@ struct HeightPixel {
   SpecularBranch branch = SpecularBranch::below_brewster;
   float i_un = 0, s1 = 0, s2 = 0;
   float variance_i = 0, variance_s = 0;  ///< of i_un, and of each of s1 and s2
-  float zenith = no_height;              ///< from the measured degree
-  float prior_height = no_height;
-  float border_height = no_height;  ///< height that this pixel of the object's border is held to
+  float zenith = no_value;               ///< from the measured degree
+  float prior_height = no_value;
+  float border_height = no_value;  ///< height that this pixel of the object's border is held to
 
-  static constexpr float no_height = std::numeric_limits<float>::quiet_NaN();
   bool has_data() const { return kind != Reflection::outside; }
 };
 

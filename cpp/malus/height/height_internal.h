@@ -1,8 +1,6 @@
 #pragma once
 
-#include <Eigen/Core>
 #include <cstddef>
-#include <optional>
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
@@ -19,14 +17,9 @@ namespace malus {
 struct HeightInput {
   const PolarizationState& polarization;
   const ReflectionMap& reflection;
-  const Pinhole* camera = nullptr;  ///< null = orthographic, square pixels
-  /// i_un = light[0..2] · n + light[3], camera frame (x right, y down, z forward); empty = estimated, with the prior's
-  /// normals if given, else from polarization alone.
-  std::optional<Eigen::Vector4d> light;
-  const Image<float>* prior_normals = nullptr;  ///< 3 channels, camera frame; to estimate the light if none is given
-  const Image<float>* prior_height = nullptr;   ///< form of HeightMap::height; start, and HeightBoundary::prior
-  /// Result of estimate_light with the prior's normals, if already known; replaces `prior_normals`.
-  std::optional<LightEstimate> estimated_light = std::nullopt;
+  const Pinhole* camera = nullptr;             ///< null = orthographic, square pixels
+  LightEstimate light;                         ///< for the rays that is_perspective() says; see judge_direction
+  const Image<float>* prior_height = nullptr;  ///< form of HeightMap::height; start, and HeightBoundary::prior
 
   /// Whether the rays are the camera's, not parallel.
   bool is_perspective(const HeightOptions& options) const { return options.perspective && camera != nullptr; }
@@ -49,8 +42,7 @@ inline constexpr std::size_t whole_height_pixels = 200'000;
 ///
 /// The outcome is in HeightMap::status. Throws an input error for rasters that do not match or are missing, and
 /// ErrorCode::resource when memory runs out.
-HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const LightOptions& light_options,
-                       const Context& context);
+HeightMap solve_height(const HeightInput& input, const HeightOptions& options, const Context& context);
 
 /// Depth as a height: −f ln(z / z0), z0 the geometric mean (perspective), or −(z − z0) f / z0, z0 the mean
 /// (orthographic); pixels (GSD), positive towards the camera, mean 0, NaN where the depth is NaN.

@@ -55,16 +55,9 @@ std::int32_t id_of_model(LensModel model) {
   throw input_error("camera model " + std::string(to_string(model)) + " cannot be written as a COLMAP model");
 }
 
-/// Index of cx in COLMAP's parameter order; cy follows.
-std::size_t principal_point_index(LensModel model) {
-  const bool one_focal =
-      model == LensModel::simple_pinhole || model == LensModel::simple_radial || model == LensModel::radial;
-  return one_focal ? 1 : 2;
-}
-
 LensCamera shifted(LensCamera camera, double offset) {
   if (camera.model == LensModel::brown) return camera;
-  const std::size_t cx = principal_point_index(camera.model);
+  const auto cx = static_cast<std::size_t>(principal_point_index(camera.model));
   if (camera.params.size() > cx + 1) {
     camera.params[cx] += offset;
     camera.params[cx + 1] += offset;

@@ -93,6 +93,11 @@ double tangential_light(const Eigen::Vector3d& light, const Pinhole* camera, Siz
   return std::sqrt(sum / ((steps + 1) * (steps + 1)));
 }
 
+void judge_direction(LightEstimate& light, const Pinhole* camera, Size size, const LightOptions& options) {
+  light.tangential = tangential_light(light.coefficients.head<3>(), camera, size);
+  light.status = light.tangential >= options.min_tangential ? LightStatus::estimated : LightStatus::along_view;
+}
+
 double reweigh(const std::vector<double>& residuals, double outlier_scale, std::vector<double>& weights) {
   std::vector<double> sorted = residuals;
   const double sigma = robust_spread(sorted), scale = std::max(outlier_scale * sigma, 1e-12);
@@ -123,8 +128,8 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     const NormalEquations equations = normal_equations(samples, weights, context);
     const Eigen::MatrixXd used = equations.topLeftCorner(unknowns, unknowns);
     const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(used).eigenvalues();
-    light.condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
-    if (!(light.condition <= options.max_condition)) {
+    const double condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
+    if (!(condition <= options.max_condition)) {
       light.status = LightStatus::normals_alike;
       return light;
     }
@@ -133,8 +138,7 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
     light.robust_sigma = reweigh(residuals, options.outlier_scale, weights);
   }
-  light.tangential = tangential_light(light.coefficients.head<3>(), camera, intensity.size());
-  light.status = light.tangential < options.min_tangential ? LightStatus::along_view : LightStatus::estimated;
+  judge_direction(light, camera, intensity.size(), options);
   return light;
 }
 

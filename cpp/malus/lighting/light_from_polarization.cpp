@@ -163,8 +163,7 @@ LightEstimate light_from_polarization(const PolarizationState& state, const Refl
   light.coefficients.head<3>() = found;
   light.rms = best.rms;
   light.robust_sigma = best.robust_sigma;
-  light.tangential = tangential_light(found, camera, state.size());
-  light.status = light.tangential < options.min_tangential ? LightStatus::along_view : LightStatus::estimated;
+  judge_direction(light, camera, state.size(), options);
   return light;
 }
 

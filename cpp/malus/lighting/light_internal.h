@@ -31,7 +31,6 @@ struct LightEstimate {
   Eigen::Vector4d coefficients = Eigen::Vector4d::Zero();
   double rms = 0;           ///< weighted RMS residual, in units of i_un
   double robust_sigma = 0;  ///< 1.48 × median absolute residual: spread from albedo and all other causes
-  double condition = 0;     ///< of the normal equations
   double tangential = 0;    ///< sine of the angle between light and view, RMS over the image
   std::size_t pixels = 0;   ///< number of pixels used
   bool of_contour = false;  ///< the object's outline decided which side it comes from (LightWithoutPrior::contour)
@@ -40,6 +39,9 @@ struct LightEstimate {
 
 /// Sine of the angle between a light direction and the view, RMS over the raster. camera null = orthographic.
 double tangential_light(const Eigen::Vector3d& light, const Pinhole* camera, Size size);
+
+/// Sets `tangential` and by it the status of a light whose coefficients are set.
+void judge_direction(LightEstimate& light, const Pinhole* camera, Size size, const LightOptions& options);
 
 /// Sets Cauchy weights by absolute residuals, halved at outlier_scale robust standard deviations; returns one of these.
 double reweigh(const std::vector<double>& residuals, double outlier_scale, std::vector<double>& weights);

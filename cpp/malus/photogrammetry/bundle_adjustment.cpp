@@ -18,11 +18,6 @@ namespace {
 constexpr double loss_scale = 2;
 constexpr int most_iterations = 100;
 
-/// Position of the principal point's first coordinate among a lens's parameters.
-int principal_point_index(LensModel model) {
-  return model == LensModel::simple_pinhole || model == LensModel::simple_radial || model == LensModel::radial ? 1 : 2;
-}
-
 Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   Eigen::Matrix3d m;
   m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;

@@ -7,6 +7,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/pose.h"
 #include "malus/photogrammetry/adjustment_status_internal.h"
 
@@ -51,6 +52,8 @@ struct BundleReport {
   double rms_before_px = 0, rms_after_px = 0;  ///< of the residuals' lengths
   /// Robust standard deviation of the residuals divided by the stated one; 1 = observations as good as stated.
   double unit_weight = 1;
+
+  MALUS_FIELDS(iterations, rms_before_px, rms_after_px, unit_weight)
 };
 
 /// Adjusts lenses, poses and points together to all observations by robust least squares (Cauchy's loss from two

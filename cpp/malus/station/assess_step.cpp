@@ -13,12 +13,10 @@ QualityReport make_quality(const Job& job, const FusedSurface& surface, const Ca
   const StationFile& station = job.station.file;
   std::optional<TriangleMesh> reference;
   if (job.run.reference) reference = read_cloud_or_mesh(*job.run.reference, job.context);
-  const Mask object = polarization.state->object();
   Quality quality = assess({.surface = &surface,
                             .prior = &prior,
                             .height = height,
                             .polarization = polarization.state.get(),
-                            .object = &object,
                             .reference = reference ? &*reference : nullptr,
                             .registration_rms_px = view.registration_rms_px,
                             .patches = station.patches,

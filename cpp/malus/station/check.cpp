@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <nlohmann/json.hpp>
 
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/response_internal.h"
@@ -20,6 +19,7 @@
 #include "malus/prior/shape_depth_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/control_points_internal.h"
+#include "malus/station/json_fields_internal.h"
 #include "malus/station/prior_scale_internal.h"
 #include "malus/station/step_internal.h"
 
@@ -258,18 +258,12 @@ Plan check_station(const Station& station, const Options& options, const Context
 }
 
 std::string plan_to_json(const Plan& plan) {
-  nlohmann::ordered_json level;  // null: only a result can be called high
-  if (plan.confidence.level != ConfidenceLevel::high) level = enum_name(plan.confidence.level);
-  return nlohmann::ordered_json{{"name", plan.name},
-                                {"width", plan.size.width},
-                                {"height", plan.size.height},
-                                {"object_pixels", plan.object_pixels},
-                                {"does", plan.does},
-                                {"warnings", plan.warnings},
-                                {"confidence", {{"level", level}, {"reasons", plan.confidence.reasons}}},
-                                {"seconds", plan.seconds},
-                                {"memory_mb", plan.memory_mb}}
-      .dump();
+  Json json = fields_to_json(plan);
+  json["width"] = plan.size.width;
+  json["height"] = plan.size.height;
+  // Only a result can be called high.
+  if (plan.confidence.level == ConfidenceLevel::high) json["confidence"]["level"] = nullptr;
+  return json.dump();
 }
 
 }  // namespace malus

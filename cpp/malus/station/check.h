@@ -6,6 +6,7 @@
 
 #include "malus/core/confidence.h"
 #include "malus/core/context.h"
+#include "malus/core/field_list.h"
 #include "malus/core/image.h"
 #include "malus/station/options.h"
 #include "malus/station/station.h"
@@ -22,6 +23,8 @@ struct Plan {
   Confidence confidence;              ///< limited by what the inputs alone show; "high" = nothing limits it yet
   double seconds = 0;                 ///< expected, with context.threads threads
   double memory_mb = 0;               ///< expected peak
+
+  MALUS_FIELDS(name, object_pixels, does, warnings, confidence, seconds, memory_mb)
 };
 
 /// A step of a run and the seconds it is expected to take.

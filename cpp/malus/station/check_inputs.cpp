@@ -57,6 +57,11 @@ Mask captured_labels(const Station& station) {
   return read_labels(path);
 }
 
+Mask labels_in_view(const Station& station, const Context& context) {
+  const Mask labels = captured_labels(station);
+  return labels.empty() ? labels : undistorted_mask(labels, station.file.known_lens(), context);
+}
+
 const CameraSpec& require_camera(const StationFile& station) {
   if (station.camera) return *station.camera;
   throw input_error(

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/station/station.h"
 
@@ -23,6 +24,9 @@ Mask captured_object(const Station& station, Size size);
 /// Labels of the images as taken; empty without any. Input error for the label.png of a run if the lens has
 /// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
 Mask captured_labels(const Station& station);
+
+/// The labels in the undistorted view; empty without any.
+Mask labels_in_view(const Station& station, const Context& context);
 
 /// Lens and pose. Input error without a pose.
 const CameraSpec& require_camera(const StationFile& station);

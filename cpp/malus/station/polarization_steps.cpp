@@ -16,13 +16,14 @@
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
 #include "malus/io/image_file_internal.h"
+#include "malus/lighting/light_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
 #include "malus/polarization/pixel_curves_internal.h"
 #include "malus/polarization/reflection_internal.h"
 #include "malus/polarization/unpolarized_internal.h"
-#include "malus/station/state_views_internal.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/step_functions_internal.h"
 
 namespace malus {
@@ -196,7 +197,8 @@ FrameHints frame_hints(const Job& job, const PolarizationState& state, const Sta
   if (optics.reflection == ReflectionChoice::diffuse) hints.specular = false;
   if (optics.reflection == ReflectionChoice::specular) hints.specular = true;
   if (optics.refractive_index) hints.refractive_index = *optics.refractive_index;
-  const LightEstimate light = light_on_surface(state, normals, &view.camera, job.options.light, job.context);
+  const LightEstimate light =
+      estimate_light(state.i_un, normals, state.valid_pixels(), &view.camera, job.options.light, job.context);
   if (light.status == LightStatus::estimated) hints.light = light.coefficients.head<3>();
   return hints;
 }

@@ -39,23 +39,18 @@ Json refine_report_json(const RefineReport& report) {
       metal = {{"refractive_index", {report.metal_index.real(), report.metal_index.imag()}},
                {"intensity_error", model.metal_error}};
   }
-  const Json stated = report.stated_eta ? Json(*report.stated_eta) : Json();
-  return {{"refractive_index", {{"value", model.eta}, {"sigma", fields_to_json(report.eta_sigma)}, {"stated", stated}}},
-          {"light", light},
-          {"lobe", lobe},
-          {"environment", environment},
-          {"surroundings", surroundings},
-          {"metal", metal},
-          {"mirror", mirror},
-          {"specular_share", report.specular_share},
-          {"explained_share", fields_to_json(report.explained_share)},
-          {"explained_beyond_plane", fields_to_json(report.explained_beyond_plane)},
-          {"trusted_share", fields_to_json(report.trusted_share)},
-          {"gain_share", fields_to_json(report.gain_share)},
-          {"regions_compared", report.regions_compared},
-          {"regions_taken", report.regions_taken},
-          {"tiles", report.tiles},
-          {"iterations", fields_to_json(report.iterations)}};
+  Json json = {{"refractive_index",
+                {{"value", model.eta},
+                 {"sigma", fields_to_json(report.eta_sigma)},
+                 {"stated", fields_to_json(report.stated_eta)}}},
+               {"light", light},
+               {"lobe", lobe},
+               {"environment", environment},
+               {"surroundings", surroundings},
+               {"metal", metal},
+               {"mirror", mirror}};
+  json.update(fields_to_json(report));
+  return json;
 }
 
 Json quality_json(const StationFile& station, const Quality& quality, const PolarizerCalibration& polarizer,

@@ -56,16 +56,14 @@ Json StationInputs::files(const std::vector<fs::path>& paths) {
   return json;
 }
 
-Json StationInputs::array(const std::string& name, const void* data, std::size_t bytes) {
-  context_.check_cancel();
-  return taken_->hashes[name] = sha256_of_bytes({static_cast<const char*>(data), bytes});
-}
-
 /// Hash and shape of an image, or hash of a vector.
 template <class T>
 Json StationInputs::array(const std::string& name, const T& values) {
+  context_.check_cancel();
   const auto bytes = static_cast<std::size_t>(values.end() - values.begin()) * sizeof(*values.begin());
-  Json json = {{"sha256", array(name, values.data(), bytes)}};
+  const std::string hash = sha256_of_bytes({reinterpret_cast<const char*>(values.data()), bytes});
+  taken_->hashes[name] = hash;
+  Json json = {{"sha256", hash}};
   if constexpr (requires { values.width(); }) json["shape"] = {values.height(), values.width(), values.channels()};
   return json;
 }

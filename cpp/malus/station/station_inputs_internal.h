@@ -2,7 +2,6 @@
 
 // Private to the station room: the parts of a station that enter the steps' keys, with a hash of every file or array.
 
-#include <cstddef>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -53,7 +52,6 @@ class StationInputs {
  private:
   Json file(const std::filesystem::path& path) { return files({path})[0]; }
   Json files(const std::vector<std::filesystem::path>& paths);
-  Json array(const std::string& name, const void* data, std::size_t bytes);
   template <class T>
   Json array(const std::string& name, const T& values);
   /// Names and hashes of the photos that a swept surface comes from, as the photogrammetry states them; null without.

@@ -15,9 +15,9 @@
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/prior/project_prior_internal.h"
+#include "malus/station/check_inputs_internal.h"
 #include "malus/station/prior_scale_internal.h"
 #include "malus/station/quality_json_internal.h"
-#include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 #include "malus/station/surface_words_internal.h"
 #include "malus/surface/dem_file_internal.h"
@@ -78,12 +78,10 @@ FusedSurface judged(FusedSurface surface, const InputEvidence& evidence, const C
 Json facts_of(const Job& job, const FusedSurface& surface, const DepthPrior& prior, const PolarizationState& state,
               const RefinementFindings* refinement) {
   const StationFile& station = job.station.file;
-  const Mask object = state.object();
   AssessInput input;
   input.surface = &surface;
   input.prior = &prior;
   input.polarization = &state;
-  input.object = &object;
   const Confidence confidence = assessed_confidence(input, job.context);
   return {{"name", station.name},
           {"object", fields_to_json(station.object)},
@@ -130,19 +128,17 @@ HeightMap make_height(const Job& job, const CalibratedPolarization& polarization
     }
   } else {
     // The normals are a temporary: they are the largest map, and only the light is estimated from them.
-    light = light_on_surface(state, normals_from_depth(prior->depth, view.camera, job.context), camera, options.light,
-                             job.context);
+    light = estimate_light(state.i_un, normals_from_depth(prior->depth, view.camera, job.context), state.valid_pixels(),
+                           camera, options.light, job.context);
   }
   Image<float> height;
   if (prior != nullptr) height = height_from_depth(prior->depth, view.camera, camera != nullptr, job.context);
   return solve_height({.polarization = state,
                        .reflection = reflection,
                        .camera = station.known_lens() ? &view.camera : nullptr,
-                       .light = std::nullopt,
-                       .prior_normals = nullptr,
-                       .prior_height = prior != nullptr ? &height : nullptr,
-                       .estimated_light = light},
-                      options.height, options.light, job.context);
+                       .light = light,
+                       .prior_height = prior != nullptr ? &height : nullptr},
+                      options.height, job.context);
 }
 
 FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPrior& prior,

@@ -1,3 +1,4 @@
+#include <optional>
 #include <sstream>
 #include <string>
 
@@ -17,22 +18,19 @@ std::string in_one_line(const std::string& text) {
   return line;
 }
 
-/// Share of the object's pixels with usable polarization; 1 if it is not known. On the others nothing finer than the
-/// prior is known, and the refinement's share leaves them out.
-double usable_share(const Json& quality) {
-  const auto polarization = quality.find("polarization");
-  const bool is_known = polarization != quality.end() && polarization->is_object() &&
-                        polarization->contains("valid_fraction") && !polarization->at("valid_fraction").is_null();
-  return is_known ? polarization->at("valid_fraction").get<double>() : 1.0;
+/// A share that quality.json states; nothing if it is not known.
+std::optional<double> share_at(const Json& quality, const std::string& path) {
+  const Json::json_pointer place(path);
+  if (!quality.contains(place) || quality.at(place).is_null()) return std::nullopt;
+  return quality.at(place).get<double>();
 }
 
 /// How much of the surface is finer than the prior.
 std::string origin_of_detail(const Json& quality) {
-  const auto refinement = quality.find("refinement");
-  const bool has_share = refinement != quality.end() && refinement->contains("trusted_share");
-  if (!has_share || refinement->at("trusted_share").is_null())
-    return "detail from polarization everywhere, which nothing proves";
-  const double share = refinement->at("trusted_share").get<double>() * usable_share(quality);
+  const std::optional<double> trusted = share_at(quality, "/refinement/trusted_share");
+  if (!trusted) return "detail from polarization everywhere, which nothing proves";
+  // That is a share of the pixels with usable polarization; on the others nothing finer than the prior is known.
+  const double share = *trusted * share_at(quality, "/polarization/valid_fraction").value_or(1);
   if (share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
   if (share >= refined_everywhere) return "detail from polarization on nearly all of the object";
   return "detail from polarization on " + percent(share) + " of the object, elsewhere the prior's surface, no finer";

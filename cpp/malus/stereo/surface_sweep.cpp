@@ -217,7 +217,7 @@ class SurfaceSweep {
   void start_from_surface() {
     deviation_ = Image<float>(level_.mask.size(), 1, no_value);
     for_each_pixel(level_.mask, [&](int u, int v) { deviation_(u, v) = 0; });
-    result_.points_total = static_cast<double>(input_.points.size());
+    result_.points_total = input_.points.size();
     photos_.choose(level_, shape_);
     prepare_photos();
   }
@@ -240,8 +240,8 @@ class SurfaceSweep {
     photos_.choose(level_, deviation_);
     prepare_photos();
     FirstSurface first = first_surface(points, level_, input_.pose, match_settings(), options_.min_points, context_);
-    result_.points_total = static_cast<double>(input_.points.size());
-    result_.points_used = static_cast<double>(first.points_used);
+    result_.points_total = input_.points.size();
+    result_.points_used = first.points_used;
     deviation_ = std::move(first.log_depth);
     fill_gaps(deviation_, level_.mask, context_);
     photos_.choose(level_, deviation_);

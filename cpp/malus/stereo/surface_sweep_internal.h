@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -51,17 +52,17 @@ struct SweepResult {
                             ///< agree, 0 … 1
   int views_total = 0;
   int views_used = 0;
-  double points_total = 0;
-  double points_used = 0;   ///< of a sample on the object, the points that match in the photos
-  double completeness = 0;  ///< share of the mask that has a depth
-  double highlights = 0;    ///< share of the mask left out as highlights or pixels next to them
-  double median_score = 0;  ///< of the pixels kept
+  std::size_t points_total = 0;
+  std::size_t points_used = 0;  ///< of a sample on the object, the points that match in the photos
+  double completeness = 0;      ///< share of the mask that has a depth
+  double highlights = 0;        ///< share of the mask left out as highlights or pixels next to them
+  double median_score = 0;      ///< of the pixels kept
   double median_sigma_gsd = 0;
   bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs three photos
   std::vector<SweepPassReport> passes;
 
-  MALUS_FIELDS(views_total, views_used, completeness, highlights, median_score, median_sigma_gsd, halves_compared,
-               passes)
+  MALUS_FIELDS(views_total, views_used, points_total, points_used, completeness, highlights, median_score,
+               median_sigma_gsd, halves_compared, passes)
 };
 
 /// Depth of every pixel of the station's view, by comparing this view with the photos.

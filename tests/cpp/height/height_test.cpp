@@ -48,10 +48,28 @@ double height_scale(const Scene& scene, const HeightMap& map) {
   return top / bottom;
 }
 
+/// The scene's light as if it had been estimated.
+LightEstimate known_light(const Scene& scene, const Pinhole* rays = nullptr) {
+  LightEstimate light;
+  light.coefficients = scene.light;
+  judge_direction(light, rays, scene.state.size(), {});
+  return light;
+}
+
+/// The light by these normals, for parallel rays.
+LightEstimate light_by(const Image<float>& normals, const Scene& scene) {
+  return estimate_light(scene.state.i_un, normals, scene.state.valid_pixels(), nullptr, {}, {});
+}
+
 HeightMap solve(const Scene& scene, const HeightOptions& options = {}, const Pinhole* camera = nullptr,
                 const Context& context = {}) {
-  HeightInput input{scene.state, scene.reflection, camera, scene.light, nullptr, nullptr};
-  return solve_height(input, options, {}, context);
+  const LightEstimate light = known_light(scene, options.perspective ? camera : nullptr);
+  return solve_height({scene.state, scene.reflection, camera, light, nullptr}, options, context);
+}
+
+/// The height for parallel rays with this light.
+HeightMap solve_with(const LightEstimate& light, const Scene& scene) {
+  return solve_height({scene.state, scene.reflection, nullptr, light, nullptr}, {}, {});
 }
 
 const Eigen::Vector4d light_right(0.2747, 0, -0.9615, 0);
@@ -159,8 +177,7 @@ TEST(Height, PerspectiveHeightIsTheMetricSurface) {
 
 TEST(Height, LightIsEstimatedWithThePriorsNormals) {
   const Scene scene = render(bumps(96), {96, 96}, nullptr, light_right, 0.005);
-  const HeightInput input{scene.state, scene.reflection, nullptr, {}, &scene.normals, nullptr};
-  const HeightMap map = solve_height(input, {}, {}, {});
+  const HeightMap map = solve_with(light_by(scene.normals, scene), scene);
   EXPECT_LT((map.light - light_right).norm(), 0.01);
   EXPECT_LT(normal_error(scene, map), 2.5);
 }
@@ -170,7 +187,7 @@ TEST(Height, NeedsNoPriorForAConvexObject) {
   for (const double noise : {0.0, 0.003}) {
     const Scene scene = render(sphere(128), {128, 128}, nullptr, oblique, noise);
     const HeightMap map =
-        solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr}, {}, {}, {});
+        solve_with(light_from_polarization(scene.state, scene.reflection, std::nullopt, nullptr, {}, {}), scene);
     EXPECT_EQ(map.status, HeightStatus::converged);
     const Eigen::Vector3d light = map.light.head<3>();
     EXPECT_LT(std::acos(light.normalized().dot(oblique.head<3>().normalized())) / degree, noise > 0 ? 3 : 1);
@@ -216,9 +233,7 @@ TEST(Height, TheOutlineDistinguishesAHollowLidFromABump) {
   EXPECT_TRUE(light.of_contour);
   EXPECT_LT(light_error(light, oblique), 2);
   EXPECT_LT(light_error(found(LightWithoutPrior::convex), {-0.3, -0.25, -0.6, 0}), 2);
-  const HeightMap map =
-      solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr}, {}, {}, {});
-  EXPECT_LT(normal_error(scene, map), 3);
+  EXPECT_LT(normal_error(scene, solve_with(light, scene)), 3);
 }
 
 TEST(Height, ABorderThatIsNoOccludingContourIsNotUsed) {
@@ -242,9 +257,7 @@ TEST(Height, WithAKnownDirectionOnlyTheStrengthIsEstimated) {
       light_from_polarization(scene.state, scene.reflection, Eigen::Vector3d(2 * oblique.head<3>()), nullptr, {}, {});
   EXPECT_EQ(light.status, LightStatus::estimated);
   EXPECT_LT((light.coefficients - oblique).norm(), 0.02);
-  const HeightMap map =
-      solve_height({scene.state, scene.reflection, nullptr, std::nullopt, nullptr, nullptr, light}, {}, {}, {});
-  EXPECT_LT(normal_error(scene, map), 2.5);
+  EXPECT_LT(normal_error(scene, solve_with(light, scene)), 2.5);
 }
 
 TEST(Height, BridgesPixelsWithoutPolarization) {
@@ -265,14 +278,14 @@ TEST(Height, PriorFixesTheHeightAtTheBorder) {
   const Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
   HeightOptions options;
   options.boundary = HeightBoundary::prior;
-  HeightInput input{scene.state, scene.reflection, nullptr, scene.light, nullptr, &scene.truth};
-  const HeightMap map = solve_height(input, options, {}, {});
+  HeightInput input{scene.state, scene.reflection, nullptr, known_light(scene), &scene.truth};
+  const HeightMap map = solve_height(input, options, {});
   for (std::size_t i = 0; i < map.height.count(); ++i) {
     if (!std::isfinite(map.height[i])) continue;
     EXPECT_NEAR(map.height[i], scene.truth[i], 0.05);
   }
   input.prior_height = nullptr;
-  EXPECT_THROW(solve_height(input, options, {}, {}), Error);
+  EXPECT_THROW(solve_height(input, options, {}), Error);
 }
 
 TEST(Height, LightAlongTheViewGivesAStatusAndNoHeight) {
@@ -286,8 +299,7 @@ TEST(Height, OtherFailuresGiveAStatus) {
   Scene scene = render(sphere(64), {64, 64}, nullptr, light_right, 0);
   Image<float> flat(scene.state.size(), 3);
   for (std::size_t i = 0; i < flat.count(); i += 3) flat[i + 2] = -1;
-  HeightInput input{scene.state, scene.reflection, nullptr, {}, &flat, nullptr};
-  EXPECT_EQ(solve_height(input, {}, {}, {}).status, HeightStatus::normals_too_alike_for_light);
+  EXPECT_EQ(solve_with(light_by(flat, scene), scene).status, HeightStatus::normals_too_alike_for_light);
   HeightOptions options;
   options.iterations = 1;
   options.tolerance = 0;
@@ -301,9 +313,9 @@ TEST(Height, InputErrorsAndCancellation) {
   HeightOptions options;
   options.smoothness = -1;
   EXPECT_THROW(solve(scene, options), Error);
-  const Image<float> small({3, 3}, 3);
-  const HeightInput input{scene.state, scene.reflection, nullptr, scene.light, &small, nullptr};
-  EXPECT_THROW(solve_height(input, {}, {}, {}), Error);
+  const Image<float> small({3, 3});
+  const HeightInput input{scene.state, scene.reflection, nullptr, known_light(scene), &small};
+  EXPECT_THROW(solve_height(input, {}, {}), Error);
   std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;

@@ -92,7 +92,7 @@ TEST(SweepOfBumps, MayAskForMorePointsThanItCompares) {
   SweepOptions options = test_options();
   options.min_points = 2000;
   const SweepResult result = sweep_surface(input, bumpy().views, options, {});
-  EXPECT_EQ(result.points_used, 1500);
+  EXPECT_EQ(result.points_used, 1500u);
   EXPECT_GT(result.completeness, 0.9);
 }
 
