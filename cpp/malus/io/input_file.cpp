@@ -17,6 +17,15 @@ constexpr std::size_t longest_line = 1 << 26;
 
 }  // namespace
 
+void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators) {
+  words.clear();
+  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
+    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
+    words.push_back(line.substr(at, end - at));
+    at = end;
+  }
+}
+
 std::string path_of_windows(std::string_view text) {
   return text.find('\\') == std::string_view::npos
              ? ""
@@ -77,6 +86,11 @@ bool InputFile::fill() {
   begin_ = 0;
   end_ = read_part(buffer_.data(), buffer_.size());
   return end_ > 0;
+}
+
+std::string_view InputFile::start(std::size_t size) {
+  if (end_ == 0) fill();
+  return {buffer_.data(), std::min(size, end_)};
 }
 
 void InputFile::skip(std::uint64_t size) {

@@ -32,6 +32,9 @@ std::optional<T> number_of(std::string_view text) {
   return is_number ? std::optional(value) : std::nullopt;
 }
 
+/// Replaces `words` by those of a line.
+void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;");
+
 /// Advice, for messages, on what to write instead of the backslashes in a path or in a line of a file; "" = no
 /// backslashes.
 std::string path_of_windows(std::string_view text);
@@ -55,6 +58,8 @@ class InputFile {
   /// them.
   std::uint64_t remaining() const { return position_ < size_ ? size_ - position_ : 0; }
 
+  /// The first bytes, at most `size`, which are still to be read; call it before anything is read.
+  std::string_view start(std::size_t size);
   /// Copies exactly `size` bytes; throws an input error ("… is truncated") when the file ends before.
   void read(void* target, std::size_t size);
   /// Skips exactly `size` bytes; errors as in read().

@@ -1,11 +1,10 @@
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
 #include <sstream>
 #include <string_view>
 #include <system_error>
 
+#include "malus/core/digits_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/nearest_name_internal.h"
 #include "malus/io/toml_table_internal.h"
@@ -15,10 +14,7 @@ namespace {
 
 /// The value as written in the file, cut when it is long.
 std::string value_text(const toml::node& node) {
-  if (const auto* number = node.as_floating_point()) {
-    std::array<char, 32> shortest{};
-    return {shortest.data(), std::to_chars(shortest.begin(), shortest.end(), number->get()).ptr};
-  }
+  if (const auto* number = node.as_floating_point()) return shortest_text(number->get());
   std::ostringstream stream;
   node.visit([&](const auto& value) { stream << value; });
   std::string text = stream.str();

@@ -1,5 +1,4 @@
-#include <charconv>
-
+#include "malus/core/digits_internal.h"
 #include "malus/io/geotiff_file_internal.h"
 #include "malus/surface/dem_file_internal.h"
 
@@ -8,14 +7,7 @@ namespace {
 
 /// The numbers as the shortest texts that read back as the same: twelve digits are too few for a national grid.
 std::string text_of(const Eigen::Vector3d& vector) {
-  std::string text;
-  for (const double value : vector) {
-    char digits[32];
-    const auto [end, error] = std::to_chars(digits, digits + sizeof digits, value);
-    if (!text.empty()) text += ' ';
-    text.append(digits, end);
-  }
-  return text;
+  return shortest_text(vector.x()) + ' ' + shortest_text(vector.y()) + ' ' + shortest_text(vector.z());
 }
 
 }  // namespace
