@@ -74,7 +74,7 @@ void bind_io(py::module_& module) {
   module.def("write_tiff16", &write_tiff16, WithoutGil());
   module.def("read_image_dn", [](const std::string& path) {
     RawImage image = computed(1, [&](const Context&) { return read_image(path, "photo"); });
-    return std::pair(std::move(image.pixels), image.full_scale_dn);
+    return std::pair(std::move(image.pixels), image.full_scale_dn());
   });
   module.def("read_mask",
              [](const std::string& path) { return computed(1, [&](const Context&) { return read_mask(path); }); });
