@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <map>
 #include <utility>
 
@@ -262,9 +261,7 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
     return;
   }
   parallel_for(context, flags.count(), flags_at_once, [&](std::size_t begin, std::size_t end) {
-    std::transform(more.begin() + static_cast<std::ptrdiff_t>(begin), more.begin() + static_cast<std::ptrdiff_t>(end),
-                   flags.begin() + static_cast<std::ptrdiff_t>(begin),
-                   flags.begin() + static_cast<std::ptrdiff_t>(begin), std::bit_or<std::uint8_t>());
+    for (std::size_t i = begin; i < end; ++i) flags[i] |= more[i];
   });
 }
 

@@ -539,8 +539,7 @@ struct PlyLayout {
     encoder.put(std::uint8_t{3});
     encoder.put(triangle);
   }
-  /// `faces`: nothing for a cloud.
-  std::string header(std::size_t vertices, std::optional<std::size_t> faces) const {
+  std::string header(std::size_t vertices, std::size_t faces) const {
     const std::string coordinate = doubles ? "property double " : "property float ";
     std::string header = "ply\nformat binary_little_endian 1.0\n";
     for (const std::string& comment : comments) header += "comment " + comment + "\n";
@@ -548,7 +547,7 @@ struct PlyLayout {
     for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
     if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
     if (colors) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
-    if (faces) header += "element face " + std::to_string(*faces) + "\nproperty list uchar int vertex_indices\n";
+    header += "element face " + std::to_string(faces) + "\nproperty list uchar int vertex_indices\n";
     return header + "end_header\n";
   }
 };
@@ -560,32 +559,6 @@ bool needs_double(const Eigen::AlignedBox3d& box, std::size_t count) {
   const double largest = std::max(box.min().cwiseAbs().maxCoeff(), box.max().cwiseAbs().maxCoeff());
   const double spacing = box.diagonal().norm() / std::sqrt(static_cast<double>(count));
   return largest * float_rounding > 1e-3 * spacing;
-}
-
-void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles,
-           const std::vector<std::string>& comments, const Context& context) {
-  const std::size_t count = cloud.points.size();
-  if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
-      (!cloud.colors.empty() && cloud.colors.size() != count)) {
-    throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
-                      std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
-                      " colors, expected none or as many");
-  }
-  Eigen::AlignedBox3d box;
-  for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
-  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty(), comments};
-  AtomicFile file(path);
-  const std::string header = layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt);
-  file.write(header);
-  const std::size_t first_face = header.size() + count * layout.vertex_size();
-  file.expect(first_face + (triangles ? triangles->size() * PlyLayout::face_size : 0));
-  write_records(file, header.size(), count, layout.vertex_size(), context,
-                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
-  if (triangles) {
-    write_records(file, first_face, triangles->size(), PlyLayout::face_size, context,
-                  [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face((*triangles)[i], encoder); });
-  }
-  file.commit();
 }
 
 bool is_scan_name(const std::filesystem::path& path) {
@@ -619,13 +592,29 @@ TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context
   return {read_xyz(file, context), {}};
 }
 
-void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context) {
-  write(path, cloud, nullptr, {}, context);
-}
-
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context,
                const std::vector<std::string>& comments) {
-  write(path, mesh.vertices, &mesh.triangles, comments, context);
+  const PointCloud& cloud = mesh.vertices;
+  const std::size_t count = cloud.points.size();
+  if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
+      (!cloud.colors.empty() && cloud.colors.size() != count)) {
+    throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
+                      std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
+                      " colors, expected none or as many");
+  }
+  Eigen::AlignedBox3d box;
+  for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
+  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty(), comments};
+  AtomicFile file(path);
+  const std::string header = layout.header(count, mesh.triangles.size());
+  file.write(header);
+  const std::size_t first_face = header.size() + count * layout.vertex_size();
+  file.expect(first_face + mesh.triangles.size() * PlyLayout::face_size);
+  write_records(file, header.size(), count, layout.vertex_size(), context,
+                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
+  write_records(file, first_face, mesh.triangles.size(), PlyLayout::face_size, context,
+                [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face(mesh.triangles[i], encoder); });
+  file.commit();
 }
 
 void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context,

@@ -62,11 +62,11 @@ Rgb DisplayColors::operator()(int u, int v) const {
 }
 
 int display_block(Size size, int longest_side) {
-  return std::max(1, (std::max(size.width, size.height) + longest_side - 1) / longest_side);
+  return (std::max({size.width, size.height, 1}) - 1) / longest_side + 1;
 }
 
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  int longest_side, const Context& context) {
+                                  const Context& context, int longest_side) {
   const DisplayColors colors(color, depth, white_percentile);
   const int n = display_block(color.size(), longest_side);
   auto display = Image<std::uint8_t>::uninitialized({(color.width() + n - 1) / n, (color.height() + n - 1) / n}, 3);
@@ -87,11 +87,6 @@ Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>&
     }
   });
   return display;
-}
-
-Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  const Context& context) {
-  return display_image(color, depth, white_percentile, std::max({color.width(), color.height(), 1}), context);
 }
 
 }  // namespace malus
