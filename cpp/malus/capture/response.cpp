@@ -264,20 +264,18 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
     return result;
   }
   LinearImage result{Image<float>::uninitialized(size), Mask::uninitialized(size), color};
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      double sum = 0;
-      bool saturated = false;
-      for (int c = 0; c < (color ? 3 : 1); ++c) {
-        const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
-        if (weight == 0) continue;
-        sum += weight * linearizer.linear(dn);
-        saturated = saturated || linearizer.saturated(dn);
-      }
-      if (!std::isfinite(sum)) throw not_finite(u, v);
-      result.intensity(u, v) = static_cast<float>(sum);
-      result.saturated(u, v) = saturated ? 255 : 0;
+  parallel_pixels(context, size, [&](int u, int v) {
+    double sum = 0;
+    bool saturated = false;
+    for (int c = 0; c < (color ? 3 : 1); ++c) {
+      const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
+      if (weight == 0) continue;
+      sum += weight * linearizer.linear(dn);
+      saturated = saturated || linearizer.saturated(dn);
     }
+    if (!std::isfinite(sum)) throw not_finite(u, v);
+    result.intensity(u, v) = static_cast<float>(sum);
+    result.saturated(u, v) = saturated ? 255 : 0;
   });
   return result;
 }
