@@ -73,7 +73,7 @@ std::size_t PlyElement::smallest_record() const {
 }
 
 bool is_ply(InputFile& file) {
-  const std::string_view start = file.start(4);
+  const std::string_view start = file.buffered().substr(0, 4);
   return start == "ply\n" || start == "ply\r";
 }
 

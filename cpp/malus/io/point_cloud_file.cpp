@@ -512,7 +512,7 @@ void require_text(InputFile& file) {
   const auto is_of_text = [](char c) {
     return static_cast<unsigned char>(c) >= ' ' || c == '\n' || c == '\r' || c == '\t';
   };
-  if (!std::ranges::all_of(file.start(512), is_of_text))
+  if (!std::ranges::all_of(file.buffered().substr(0, 512), is_of_text))
     throw file.error("is neither PLY nor text with x y z in each line");
 }
 
