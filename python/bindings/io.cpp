@@ -7,10 +7,10 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/length_unit_internal.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/polarized_files_internal.h"
 #include "malus/io/resection_internal.h"
 #include "malus/io/toml_json_internal.h"
 

@@ -16,7 +16,6 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file_internal.h"

@@ -353,7 +353,7 @@ std::string camera_record(std::uint32_t id, const LensCamera& camera) {
   append(record, id_of_model(camera.model));
   append(record, static_cast<std::uint64_t>(camera.size.width));
   append(record, static_cast<std::uint64_t>(camera.size.height));
-  for (const double parameter : to_colmap_pixels(camera).params) append(record, parameter);
+  for (const double parameter : shifted(camera, colmap_offset).params) append(record, parameter);
   return record;
 }
 
@@ -443,10 +443,6 @@ std::array<double, 4> quaternion_from_rotation(const Eigen::Matrix3d& rotation) 
 
 LensCamera from_colmap_pixels(LensCamera camera) {
   return shifted(std::move(camera), -colmap_offset);
-}
-
-LensCamera to_colmap_pixels(LensCamera camera) {
-  return shifted(std::move(camera), colmap_offset);
 }
 
 std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder) {

@@ -8,7 +8,6 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/core/refractive_index_internal.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/given_scale_internal.h"

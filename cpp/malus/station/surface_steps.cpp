@@ -20,7 +20,7 @@
 #include "malus/station/state_views_internal.h"
 #include "malus/station/step_functions_internal.h"
 #include "malus/station/surface_words_internal.h"
-#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 
 namespace malus {

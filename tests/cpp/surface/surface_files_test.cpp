@@ -13,7 +13,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
-#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
