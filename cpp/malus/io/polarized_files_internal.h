@@ -12,6 +12,15 @@ namespace malus {
 /// Whether a comes before b when runs of digits count as numbers: "pol_9" before "pol_10".
 bool natural_less(std::string_view a, std::string_view b);
 
+/// Files that match a pattern with *, ? and [...] as in a shell (a name that begins with a dot only if the pattern
+/// does, too), in no order. A relative pattern starts at `base`, in which wildcards have no meaning. Folders without
+/// permission count as empty.
+///
+/// Unlike glob(3) it ends soon with any pattern: after a hundred thousand names and folders it throws an input error.
+/// `where` tells the user where the pattern stands.
+std::vector<std::filesystem::path> match_files(const std::filesystem::path& base, const std::string& pattern,
+                                               const std::string& where);
+
 /// Image files of a folder (only the RAW files if there are both RAW and other files), or the files that a glob (*, ?,
 /// […]) matches, in natural order. `folder_or_glob` starts at `base`; `where` names the field in messages.
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob,
