@@ -7,10 +7,10 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/core/length_unit_internal.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/polarized_files_internal.h"
 #include "malus/io/resection_internal.h"
 #include "malus/io/toml_json_internal.h"
 
@@ -74,7 +74,7 @@ void bind_io(py::module_& module) {
   module.def("write_tiff16", &write_tiff16, WithoutGil());
   module.def("read_image_dn", [](const std::string& path) {
     RawImage image = computed(1, [&](const Context&) { return read_image(path, "photo"); });
-    return std::pair(std::move(image.pixels), image.full_scale_dn);
+    return std::pair(std::move(image.pixels), image.full_scale_dn());
   });
   module.def("read_mask", &read_mask, WithoutGil());
   module.def("read_intensity", &read_intensity, WithoutGil());

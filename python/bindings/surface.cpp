@@ -9,7 +9,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/io/glb_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
-#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 #include "malus/surface/tangent_plane_mean_internal.h"

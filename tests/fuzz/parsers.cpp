@@ -17,9 +17,7 @@
 
 #include "malus/capture/response_internal.h"
 #include "malus/core/error.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
-#include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/io/polarized_files_internal.h"

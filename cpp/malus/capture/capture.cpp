@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <map>
 #include <utility>
 
@@ -262,22 +261,8 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
     return;
   }
   parallel_for(context, flags.count(), flags_at_once, [&](std::size_t begin, std::size_t end) {
-    std::transform(more.begin() + static_cast<std::ptrdiff_t>(begin), more.begin() + static_cast<std::ptrdiff_t>(end),
-                   flags.begin() + static_cast<std::ptrdiff_t>(begin),
-                   flags.begin() + static_cast<std::ptrdiff_t>(begin), std::bit_or<std::uint8_t>());
+    for (std::size_t i = begin; i < end; ++i) flags[i] |= more[i];
   });
-}
-
-/// The mask in the undistorted raster: its value at the nearest captured pixel.
-Mask resample_mask(const Mask& mask, const ResamplingMap& map, const Context& context) {
-  if (map.is_identity()) return mask;
-  Mask result(mask.size());
-  parallel_pixels(context, mask.size(), [&](int u, int v) {
-    const Eigen::Vector2d at = map(u, v);
-    if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < mask.width() - 0.5 && at.y() < mask.height() - 0.5)) return;
-    result(u, v) = mask(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
-  });
-  return result;
 }
 
 /// One image after resampling; valid on the object, where all 4 × 4 samples lie in the source.
@@ -425,7 +410,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
     }
   }
   const ResamplingMap base_map(input.lens, identity_affine());
-  stack.mask = input.mask ? resample_mask(*input.mask, base_map, context) : Mask(size, 1, 255);
+  stack.mask = input.mask ? undistorted_mask(*input.mask, input.lens, context) : Mask(size, 1, 255);
   const std::vector<Group> groups = exposure_groups(input.polarized, exposures.images.size());
   fill_stack(exposures, input, maps, groups, options.registration.interpolation, stack, context);
   const std::vector<double> readings = std::move(stack.angles_rad);
@@ -458,7 +443,16 @@ void require_size_of_images(const Mask& mask, Size images, const std::string& na
 }
 
 Mask undistorted_mask(const Mask& captured, const std::optional<LensCamera>& lens, const Context& context) {
-  return resample_mask(captured, ResamplingMap(lens, identity_affine()), context);
+  const ResamplingMap map(lens, identity_affine());
+  if (map.is_identity()) return captured;
+  Mask result(captured.size());
+  parallel_pixels(context, captured.size(), [&](int u, int v) {
+    const Eigen::Vector2d at = map(u, v);
+    if (!(at.x() > -0.5 && at.y() > -0.5 && at.x() < captured.width() - 0.5 && at.y() < captured.height() - 0.5))
+      return;
+    result(u, v) = captured(static_cast<int>(std::lround(at.x())), static_cast<int>(std::lround(at.y())));
+  });
+  return result;
 }
 
 }  // namespace malus

@@ -5,12 +5,14 @@
 #include <string>
 #include <vector>
 
-#include "malus/capture/polarized_stack_internal.h"
 #include "malus/capture/registration_internal.h"
+#include "malus/core/camera.h"
 #include "malus/core/context.h"
+#include "malus/core/image.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/station_spec.h"
 #include "malus/options/capture_options.h"
+#include "malus/polarization/noise_model.h"
 
 namespace malus {
 
@@ -21,6 +23,25 @@ struct CaptureInput {
   std::function<RawImage(std::size_t index)> load;  ///< called by several threads at once
   std::optional<LensCamera> lens;                   ///< camera of the first image; nothing = no undistortion
   std::optional<Mask> mask;                         ///< of the first image as taken, non-zero = object
+};
+
+/// Registered, undistorted, linear images of one station, ready for the sinusoid fit.
+struct PolarizedStack {
+  std::vector<Image<float>> images;  ///< one per polarizer position, 1 channel, [0, 1] of the white level
+  std::vector<double> angles_rad;    ///< one per image, conventions applied (ccw from image +x); empty when unknown
+  NoiseModel noise;
+  Mask mask;           ///< 255 = object and inside every image
+  Mask saturated;      ///< 255 = at the white level in at least one image
+  Image<float> color;  ///< mean linear color, 3 channels RGB, or empty for monochrome captures
+  Image<float>
+      shared;      ///< for images interpolated from a mosaic: number of pixels that share a measurement; else empty
+  Pinhole camera;  ///< of these rasters
+  /// Base pixel → pixel of image k before resampling (2 × 3 affine), identity for the base image.
+  std::vector<Affine> image_from_base;
+  /// One standard deviation of the displacement left in image k [px] (ImageRegistration::rms_px); 0 if not registered.
+  std::vector<double> registration_rms_px;
+  /// Names of images that are used without registration because they have no texture to register.
+  std::vector<std::string> unregistered;
 };
 
 /// Input that reads the files of a station.

@@ -224,9 +224,7 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
       grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
     });
     result.grey = demosaic(grey, name, context);
-    parallel_rows(context, size.height, [&](int v) {
-      for (int u = 0; u < size.width; ++u) expected(u, v) = result.grey.channels[cell_of(u, v)](u, v);
-    });
+    parallel_pixels(context, size, [&](int u, int v) { expected(u, v) = result.grey.channels[cell_of(u, v)](u, v); });
   }
   return result;
 }

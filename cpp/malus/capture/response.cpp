@@ -1,13 +1,12 @@
 #include <algorithm>
-#include <charconv>
 #include <cmath>
-#include <fstream>
 #include <limits>
 #include <optional>
 #include <sstream>
 
 #include "malus/capture/response_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/io/input_file_internal.h"
 
 namespace malus {
 namespace {
@@ -29,21 +28,16 @@ double interpolate(const std::vector<double>& x, const std::vector<double>& y, d
 }
 
 /// Numbers of one line of a table; nothing if a word is not a finite number.
-std::optional<std::vector<double>> numbers_of(std::string line) {
-  line = line.substr(0, line.find('#'));
-  std::replace_if(
-      line.begin(), line.end(), [](char c) { return c == ',' || c == ';' || c == '\t' || c == '\r'; }, ' ');
+std::optional<std::vector<double>> numbers_of(std::string_view line) {
+  std::vector<std::string_view> words;
+  split_words(line.substr(0, line.find('#')), words);
   std::vector<double> numbers;
-  const char *at = line.data(), *const end = at + line.size();
-  for (;;) {
-    while (at != end && *at == ' ') ++at;
-    if (at == end) return numbers;
-    double value = 0;
-    const auto [next, error] = std::from_chars(at, end, value);
-    if (error != std::errc{} || !std::isfinite(value) || (next != end && *next != ' ')) return std::nullopt;
-    numbers.push_back(value);
-    at = next;
+  for (const std::string_view word : words) {
+    const auto number = number_of<double>(word);
+    if (!number || !std::isfinite(*number)) return std::nullopt;
+    numbers.push_back(*number);
   }
+  return numbers;
 }
 
 void check_table(ResponseCurve& curve, const std::string& name) {
@@ -67,7 +61,7 @@ void check_table(ResponseCurve& curve, const std::string& name) {
 class Linearizer {
  public:
   Linearizer(const RawImage& raw, const ResponseCurve& curve, const Levels& levels) : curve_(curve), levels_(levels) {
-    if (raw.is_float || curve.is_identity()) return;
+    if (raw.is_float() || curve.is_identity()) return;
     // Table of the curve for every number that the file can hold.
     for (int dn = 0; dn < 1 << raw.bits; ++dn) of_number_.push_back(through_curve(dn));
   }
@@ -130,11 +124,11 @@ ResponseCurve response_curve(const std::string& response, const std::string& whe
   if (response == "linear") return {};
   if (response == "srgb") return {.kind = ResponseCurve::Kind::srgb, .encoded = {}, .linear = {}};
   if (response.starts_with("gamma:")) {
-    const auto exponent = numbers_of(response.substr(6));
-    if (!exponent || exponent->size() != 1 || (*exponent)[0] < 0.1 || (*exponent)[0] > 10) {
+    const auto exponent = number_of<double>(std::string_view(response).substr(6));
+    if (!exponent || !(*exponent >= 0.1 && *exponent <= 10)) {
       throw input_error(where + " = \"" + response + "\", expected \"gamma:X\" with X from 0.1 to 10");
     }
-    return {.kind = ResponseCurve::Kind::gamma, .exponent = (*exponent)[0], .encoded = {}, .linear = {}};
+    return {.kind = ResponseCurve::Kind::gamma, .exponent = *exponent, .encoded = {}, .linear = {}};
   }
   if (!std::filesystem::is_regular_file(response)) {
     throw input_error(where + " = \"" + response +
@@ -145,18 +139,14 @@ ResponseCurve response_curve(const std::string& response, const std::string& whe
 
 ResponseCurve read_response_table(const std::filesystem::path& path) {
   const std::string name = path.string();
-  std::error_code error;
-  const auto bytes = std::filesystem::file_size(path, error);
-  std::ifstream file(path);
-  if (error || !file) throw input_error(name + ": the response table cannot be read");
-  if (bytes > max_table_bytes) throw input_error(name + ": a response table has at most 4 MB");
+  InputFile file(path, "response table");
+  if (file.size() > max_table_bytes) throw input_error(name + ": a response table has at most 4 MB");
 
   ResponseCurve curve{.kind = ResponseCurve::Kind::table, .encoded = {}, .linear = {}};
-  std::size_t columns = 0, line_number = 0;
-  for (std::string line; std::getline(file, line);) {
-    ++line_number;
+  std::size_t columns = 0;
+  for (std::string_view line; file.read_line(line);) {
     const auto numbers = numbers_of(line);
-    const std::string where = name + ": line " + std::to_string(line_number);
+    const std::string where = name + ": line " + std::to_string(file.line_number());
     if (!numbers || numbers->size() > 2) throw input_error(where + ": expected one or two finite numbers");
     if (numbers->empty()) continue;
     if (columns != 0 && numbers->size() != columns) throw input_error(where + ": rows must have equally many columns");
@@ -175,8 +165,9 @@ ResponseCurve read_response_table(const std::filesystem::path& path) {
 
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name) {
-  double white_dn = raw.full_scale_dn;
-  if (curve.is_of_numbers()) white_dn = raw.is_float ? curve.encoded.back() : std::min(white_dn, curve.encoded.back());
+  double white_dn = raw.full_scale_dn();
+  if (curve.is_of_numbers())
+    white_dn = raw.is_float() ? curve.encoded.back() : std::min(white_dn, curve.encoded.back());
   Levels levels;
   levels.black_dn = spec.black_level;
   levels.white_dn = spec.white_level.value_or(white_dn);
@@ -186,7 +177,7 @@ Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseC
     message << name << ": white_level = " << levels.white_dn << " must be above black_level = " << levels.black_dn;
     throw input_error(message.str());
   }
-  levels.dn_step = raw.is_float ? 0.0 : 1.0 / (levels.white_dn - levels.black_dn);
+  levels.dn_step = raw.is_float() ? 0.0 : 1.0 / (levels.white_dn - levels.black_dn);
   return levels;
 }
 
@@ -195,7 +186,7 @@ void require_numbers_of_table(const RawImage& raw, const Levels& levels, const R
   constexpr double other_scale = 2;
   if (!curve.is_of_numbers()) return;
   const double last = curve.encoded.back();
-  const bool of_shares = raw.is_float && *std::ranges::max_element(raw.pixels) <= 1;
+  const bool of_shares = raw.is_float() && *std::ranges::max_element(raw.pixels) <= 1;
   if (!of_shares && levels.white_dn <= other_scale * last && last <= other_scale * levels.white_dn) return;
   std::ostringstream message;
   message << name << ": the response table is of numbers up to " << last << ", but ";
@@ -209,7 +200,7 @@ void require_numbers_of_table(const RawImage& raw, const Levels& levels, const R
 }
 
 std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name) {
-  if (raw.bits != 16 || levels.white_dn < raw.full_scale_dn) return {};
+  if (raw.bits != 16 || levels.white_dn < raw.full_scale_dn()) return {};
   const float largest = *std::ranges::max_element(raw.pixels);
   for (const int bits : {10, 12, 14}) {
     const int number = (1 << bits) - 1;
@@ -273,20 +264,18 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
     return result;
   }
   LinearImage result{Image<float>::uninitialized(size), Mask::uninitialized(size), color};
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      double sum = 0;
-      bool saturated = false;
-      for (int c = 0; c < (color ? 3 : 1); ++c) {
-        const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
-        if (weight == 0) continue;
-        sum += weight * linearizer.linear(dn);
-        saturated = saturated || linearizer.saturated(dn);
-      }
-      if (!std::isfinite(sum)) throw not_finite(u, v);
-      result.intensity(u, v) = static_cast<float>(sum);
-      result.saturated(u, v) = saturated ? 255 : 0;
+  parallel_pixels(context, size, [&](int u, int v) {
+    double sum = 0;
+    bool saturated = false;
+    for (int c = 0; c < (color ? 3 : 1); ++c) {
+      const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
+      if (weight == 0) continue;
+      sum += weight * linearizer.linear(dn);
+      saturated = saturated || linearizer.saturated(dn);
     }
+    if (!std::isfinite(sum)) throw not_finite(u, v);
+    result.intensity(u, v) = static_cast<float>(sum);
+    result.saturated(u, v) = saturated ? 255 : 0;
   });
   return result;
 }

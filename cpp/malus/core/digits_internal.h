@@ -1,5 +1,6 @@
 #pragma once
 
+#include <charconv>
 #include <cmath>
 #include <ios>
 #include <sstream>
@@ -24,6 +25,12 @@ inline std::string with_digits(double value, int digits) {
   }
   text << value;
   return text.str();
+}
+
+/// The shortest text that reads back as the same number.
+inline std::string shortest_text(double value) {
+  char digits[32];
+  return {digits, std::to_chars(digits, digits + sizeof digits, value).ptr};
 }
 
 /// A share as whole percents, for people. Must be finite.

@@ -16,32 +16,26 @@ Image<float> masked_blur(const Image<float>& values, const Mask& mask, double si
     kernel[static_cast<std::size_t>(i + radius)] = static_cast<float>(std::exp(-0.5 * i * i / (sigma_px * sigma_px)));
   }
   Image<float> sums(size), weights(size);
-  parallel_rows(context, size.height, [&](int v) {
-    for (int u = 0; u < size.width; ++u) {
-      float sum = 0, weight = 0;
-      for (int i = std::max(u - radius, 0); i <= std::min(u + radius, size.width - 1); ++i) {
-        if (!mask(i, v) || !std::isfinite(values(i, v))) continue;
-        const float k = kernel[static_cast<std::size_t>(i - u + radius)];
-        sum += k * values(i, v);
-        weight += k;
-      }
-      sums(u, v) = sum;
-      weights(u, v) = weight;
+  parallel_pixels(context, size, [&](int u, int v) {
+    float sum = 0, weight = 0;
+    for (int i = std::max(u - radius, 0); i <= std::min(u + radius, size.width - 1); ++i) {
+      if (!mask(i, v) || !std::isfinite(values(i, v))) continue;
+      const float k = kernel[static_cast<std::size_t>(i - u + radius)];
+      sum += k * values(i, v);
+      weight += k;
     }
+    sums(u, v) = sum;
+    weights(u, v) = weight;
   });
   Image<float> blurred(size, 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, size.height, [&](int v) {
-    const int first = std::max(v - radius, 0), last = std::min(v + radius, size.height - 1);
-    for (int u = 0; u < size.width; ++u) {
-      if (!mask(u, v)) continue;
-      float sum = 0, weight = 0;
-      for (int j = first; j <= last; ++j) {
-        const float k = kernel[static_cast<std::size_t>(j - v + radius)];
-        sum += k * sums(u, j);
-        weight += k * weights(u, j);
-      }
-      blurred(u, v) = weight > 0 ? sum / weight : 0;
+  parallel_pixels(context, mask, [&](int u, int v) {
+    float sum = 0, weight = 0;
+    for (int j = std::max(v - radius, 0); j <= std::min(v + radius, size.height - 1); ++j) {
+      const float k = kernel[static_cast<std::size_t>(j - v + radius)];
+      sum += k * sums(u, j);
+      weight += k * weights(u, j);
     }
+    blurred(u, v) = weight > 0 ? sum / weight : 0;
   });
   return blurred;
 }

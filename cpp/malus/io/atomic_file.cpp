@@ -22,21 +22,6 @@ std::filesystem::path temporary_name(const std::filesystem::path& path) {
   return path.parent_path() / name;
 }
 
-/// Writes all bytes by calls of some(bytes, rest, done), each of which writes as many of the remaining bytes as the
-/// system accepts.
-template <class Some>
-void write_whole(const void* data, std::size_t size, const std::filesystem::path& path, Some&& some) {
-  const char* const bytes = static_cast<const char*>(data);
-  for (std::size_t done = 0; done < size;) {
-    const ssize_t written = some(bytes + done, size - done, done);
-    if (written >= 0) {
-      done += static_cast<std::size_t>(written);
-    } else if (errno != EINTR) {
-      throw file_error("cannot write", path, errno);
-    }
-  }
-}
-
 /// Makes the rename itself durable. Not every file system can sync a folder, so failure is not an error.
 void sync_folder(const std::filesystem::path& folder) {
   const int descriptor = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
@@ -80,14 +65,20 @@ AtomicFile::~AtomicFile() {
 }
 
 void AtomicFile::write(const void* data, std::size_t size) {
-  write_whole(data, size, path_,
-              [&](const char* bytes, std::size_t rest, std::size_t) { return ::write(descriptor_, bytes, rest); });
+  write_at(end_, data, size);
+  end_ += size;
 }
 
 void AtomicFile::write_at(std::size_t offset, const void* data, std::size_t size) {
-  write_whole(data, size, path_, [&](const char* bytes, std::size_t rest, std::size_t done) {
-    return ::pwrite(descriptor_, bytes, rest, static_cast<off_t>(offset + done));
-  });
+  const char* const bytes = static_cast<const char*>(data);
+  for (std::size_t done = 0; done < size;) {
+    const ssize_t written = ::pwrite(descriptor_, bytes + done, size - done, static_cast<off_t>(offset + done));
+    if (written >= 0) {
+      done += static_cast<std::size_t>(written);
+    } else if (errno != EINTR) {
+      throw file_error("cannot write", path_, errno);
+    }
+  }
 }
 
 void AtomicFile::expect(std::size_t size) {

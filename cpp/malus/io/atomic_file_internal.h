@@ -22,6 +22,7 @@ class AtomicFile {
   AtomicFile(const AtomicFile&) = delete;
   AtomicFile& operator=(const AtomicFile&) = delete;
 
+  /// Writes behind what this function has written before.
   void write(const void* data, std::size_t size);
   void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
   /// Lets the system reserve room for a file of `size` bytes, so that a full disk is noticed before the work.
@@ -35,6 +36,7 @@ class AtomicFile {
  private:
   std::filesystem::path path_, temporary_;
   int descriptor_ = -1;
+  std::size_t end_ = 0;  ///< of what write() has written
 };
 
 /// Writes a whole file atomically.

@@ -1,9 +1,9 @@
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <string_view>
 
+#include "malus/core/digits_internal.h"
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/input_file_internal.h"
@@ -331,13 +331,6 @@ void read_points_binary(Builder& builder) {
 
 // ---- writing ----
 
-/// Shortest text that reads back as the same double.
-std::string shortest(double value) {
-  char buffer[32];
-  const auto [end, error] = std::to_chars(buffer, buffer + sizeof buffer, value);
-  return std::string(buffer, end);
-}
-
 template <class T>
 void append(std::string& bytes, const T& value) {
   bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
@@ -353,7 +346,7 @@ std::string camera_record(std::uint32_t id, const LensCamera& camera) {
   append(record, id_of_model(camera.model));
   append(record, static_cast<std::uint64_t>(camera.size.width));
   append(record, static_cast<std::uint64_t>(camera.size.height));
-  for (const double parameter : to_colmap_pixels(camera).params) append(record, parameter);
+  for (const double parameter : shifted(camera, colmap_offset).params) append(record, parameter);
   return record;
 }
 
@@ -445,10 +438,6 @@ LensCamera from_colmap_pixels(LensCamera camera) {
   return shifted(std::move(camera), -colmap_offset);
 }
 
-LensCamera to_colmap_pixels(LensCamera camera) {
-  return shifted(std::move(camera), colmap_offset);
-}
-
 std::vector<std::filesystem::path> colmap_model_files(const std::filesystem::path& folder) {
   for (const std::string ending : {".bin", ".txt"}) {
     const std::vector files{folder / ("cameras" + ending), folder / ("images" + ending)};
@@ -484,14 +473,14 @@ std::string colmap_text(const Pinhole& camera) {
   std::string text(cameras_header);
   text += "1 PINHOLE " + std::to_string(camera.size.width) + " " + std::to_string(camera.size.height);
   for (const double parameter : {camera.fx, camera.fy, camera.cx + colmap_offset, camera.cy + colmap_offset})
-    text += " " + shortest(parameter);
+    text += " " + shortest_text(parameter);
   return text + "\n";
 }
 
 std::string colmap_text(const Pose& pose, const std::string& image_name) {
   std::string text = std::string(images_header) + "1";
-  for (const double q : quaternion_from_rotation(pose.rotation)) text += " " + shortest(q);
-  for (const double t : pose.translation) text += " " + shortest(t);
+  for (const double q : quaternion_from_rotation(pose.rotation)) text += " " + shortest_text(q);
+  for (const double t : pose.translation) text += " " + shortest_text(t);
   return text + " 1 " + image_name + "\n\n";
 }
 

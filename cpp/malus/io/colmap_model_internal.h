@@ -88,7 +88,5 @@ std::array<double, 4> quaternion_from_rotation(const Eigen::Matrix3d& rotation);
 
 /// Converts a camera from COLMAP's pixel convention to the memory pixel convention.
 LensCamera from_colmap_pixels(LensCamera camera);
-/// The reverse.
-LensCamera to_colmap_pixels(LensCamera camera);
 
 }  // namespace malus

@@ -1,7 +1,7 @@
 #include <fnmatch.h>
 
 #include "malus/core/error.h"
-#include "malus/io/file_glob_internal.h"
+#include "malus/io/polarized_files_internal.h"
 
 namespace malus {
 namespace {

@@ -34,36 +34,6 @@ enum GeoKey : std::uint16_t {
 };
 constexpr std::uint16_t user_defined = 32767, pixel_is_area = 1;
 
-/// The key directory and the two tags that its values may lie in.
-class GeoKeys {
- public:
-  void add_short(GeoKey key, std::uint16_t value) { add(key, 0, 1, value); }
-  void add_double(GeoKey key, double value) {
-    add(key, tag_geo_doubles, 1, static_cast<std::uint16_t>(doubles_.size()));
-    doubles_.push_back(value);
-  }
-  void add_text(GeoKey key, const std::string& text) {
-    add(key, tag_geo_ascii, static_cast<std::uint16_t>(text.size() + 1), static_cast<std::uint16_t>(ascii_.size()));
-    ascii_ += text + "|";
-  }
-
-  void write(TIFF* tiff) {
-    directory_[3] = static_cast<std::uint16_t>(directory_.size() / 4 - 1);
-    TIFFSetField(tiff, tag_geo_keys, static_cast<int>(directory_.size()), directory_.data());
-    if (!doubles_.empty()) TIFFSetField(tiff, tag_geo_doubles, static_cast<int>(doubles_.size()), doubles_.data());
-    TIFFSetField(tiff, tag_geo_ascii, ascii_.c_str());
-  }
-
- private:
-  void add(GeoKey key, ttag_t place, std::uint16_t count, std::uint16_t value) {
-    directory_.insert(directory_.end(), {key, static_cast<std::uint16_t>(place), count, value});
-  }
-
-  std::vector<std::uint16_t> directory_{1, 1, 1, 0};  // version, revision 1.1, number of keys
-  std::vector<double> doubles_;
-  std::string ascii_;
-};
-
 /// Text that is valid in XML and in a GeoTIFF citation.
 std::string escaped(std::string_view text) {
   using Entity = std::pair<char, std::string_view>;
@@ -104,6 +74,29 @@ void add_fields(TIFF* tiff) {
   TIFFMergeFieldInfo(tiff, fields, static_cast<std::uint32_t>(std::size(fields)));
 }
 
+void write_geo_keys(TIFF* tiff, const PlaneReference& reference) {
+  // In the tag that holds the texts, a bar ends a text.
+  std::string title = reference.title;
+  std::ranges::replace(title, '|', ' ');
+  title += '|';
+  const bool has_code = reference.unit.epsg != 0;
+  const auto unit = static_cast<std::uint16_t>(has_code ? reference.unit.epsg : user_defined);
+  const auto length = static_cast<std::uint16_t>(title.size());
+  // Key, tag that holds its value (0 = the row itself), number of values, and the value or its place in the tag. The
+  // first row is the version, the revision 1.1 and the number of keys, which follow in increasing order.
+  std::vector<std::array<std::uint16_t, 4>> rows{{1, 1, 1, 0},
+                                                 {model_type, 0, 1, user_defined},
+                                                 {raster_type, 0, 1, pixel_is_area},
+                                                 {citation, tag_geo_ascii, length, 0},
+                                                 {projected_units, 0, 1, unit}};
+  if (!has_code) rows.push_back({projected_unit_size, tag_geo_doubles, 1, 0});
+  rows.push_back({vertical_units, 0, 1, unit});
+  rows.front()[3] = static_cast<std::uint16_t>(rows.size() - 1);
+  TIFFSetField(tiff, tag_geo_keys, static_cast<int>(4 * rows.size()), rows.front().data());
+  if (!has_code) TIFFSetField(tiff, tag_geo_doubles, 1, &reference.unit.metres);
+  TIFFSetField(tiff, tag_geo_ascii, title.c_str());
+}
+
 void write_reference(TIFF* tiff, const PlaneReference& reference) {
   add_fields(tiff);
   const double scale[] = {reference.pixel, reference.pixel, 0};
@@ -111,18 +104,7 @@ void write_reference(TIFF* tiff, const PlaneReference& reference) {
   const double tiepoint[] = {0.5, 0.5, 0, 0, 0, 0};
   TIFFSetField(tiff, tag_pixel_scale, 3, scale);
   TIFFSetField(tiff, tag_tiepoint, 6, tiepoint);
-  GeoKeys keys;
-  keys.add_short(model_type, user_defined);
-  keys.add_short(raster_type, pixel_is_area);
-  // In the tag that holds the texts, a bar ends a text.
-  std::string title = reference.title;
-  std::ranges::replace(title, '|', ' ');
-  keys.add_text(citation, title);
-  const auto code = static_cast<std::uint16_t>(reference.unit.epsg != 0 ? reference.unit.epsg : user_defined);
-  keys.add_short(projected_units, code);
-  if (reference.unit.epsg == 0) keys.add_double(projected_unit_size, reference.unit.metres);
-  keys.add_short(vertical_units, code);
-  keys.write(tiff);
+  write_geo_keys(tiff, reference);
   TIFFSetField(tiff, tag_gdal_metadata, metadata_xml(reference).c_str());
   TIFFSetField(tiff, tag_gdal_nodata, "nan");
 }

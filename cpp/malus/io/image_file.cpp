@@ -54,19 +54,23 @@ RawImage decode(const std::filesystem::path& path, const std::string& what, cons
   throw input_error(name + " is not an image; expected PNG, TIFF or JPEG");
 }
 
-void require_writable(const std::filesystem::path& path, Size size, int channels) {
+/// Calls encode(file, image), which writes the file's bytes.
+template <class Sample, class Encode>
+void write_image(const std::filesystem::path& path, const Image<Sample>& image, Encode&& encode) {
+  const Size size = image.size();
+  const int channels = image.channels();
   if (size.width < 1 || size.height < 1 || (channels != 1 && channels != 3)) {
     throw input_error("cannot write " + path.string() + ": " + to_string(size) + " pixels with " +
                       std::to_string(channels) + " channels, expected at least one pixel and 1 or 3 channels");
   }
+  AtomicFile file(path);
+  encode(file, image);
+  file.commit();
 }
 
 template <class Sample>
-void write_png_samples(const std::filesystem::path& path, const Image<Sample>& image) {
-  require_writable(path, image.size(), image.channels());
-  AtomicFile file(path);
+void write_png_samples(AtomicFile& file, const Image<Sample>& image) {
   codecs::encode_png(file, image.data(), image.size(), image.channels(), 8 * static_cast<int>(sizeof(Sample)));
-  file.commit();
 }
 
 void refuse_raw(const std::filesystem::path& path, const std::string& name) {
@@ -108,7 +112,7 @@ RawImage read_image(const std::filesystem::path& path, const std::string& what) 
 Image<float> read_intensity(const std::filesystem::path& path) {
   RawImage image = read_image(path, "photo");
   const int channels = image.pixels.channels();
-  const auto full_scale = static_cast<float>(image.full_scale_dn);
+  const auto full_scale = static_cast<float>(image.full_scale_dn());
   if (channels == 1) {
     for (float& value : image.pixels) value /= full_scale;
     return std::move(image.pixels);
@@ -184,7 +188,7 @@ Image<std::uint8_t> read_labels(const std::filesystem::path& path) {
 
 Image<float> read_float_raster(const std::filesystem::path& path, const std::string& what) {
   RawImage image = read_image(path, what);
-  if (!image.is_float) {
+  if (!image.is_float()) {
     throw input_error(name_of(what, path) + " has " + std::to_string(image.bits) +
                       "-bit integer samples, expected a floating-point TIFF");
   }
@@ -192,25 +196,19 @@ Image<float> read_float_raster(const std::filesystem::path& path, const std::str
 }
 
 void write_float_tiff(const std::filesystem::path& path, const Image<float>& image) {
-  require_writable(path, image.size(), image.channels());
-  AtomicFile file(path);
-  codecs::encode_float_tiff(file, image);
-  file.commit();
+  write_image(path, image, [](AtomicFile& file, const auto& pixels) { codecs::encode_float_tiff(file, pixels); });
 }
 
 void write_tiff16(const std::filesystem::path& path, const Image<std::uint16_t>& image) {
-  require_writable(path, image.size(), image.channels());
-  AtomicFile file(path);
-  codecs::encode_tiff16(file, image);
-  file.commit();
+  write_image(path, image, codecs::encode_tiff16);
 }
 
 void write_png(const std::filesystem::path& path, const Image<std::uint8_t>& image) {
-  write_png_samples(path, image);
+  write_image(path, image, write_png_samples<std::uint8_t>);
 }
 
 void write_png16(const std::filesystem::path& path, const Image<std::uint16_t>& image) {
-  write_png_samples(path, image);
+  write_image(path, image, write_png_samples<std::uint16_t>);
 }
 
 }  // namespace malus

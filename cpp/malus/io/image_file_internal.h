@@ -12,10 +12,12 @@ namespace malus {
 
 /// An image as stored, before any response curve.
 struct RawImage {
-  Image<float> pixels;       ///< digital numbers (DN); 1 channel, or 3 in the order R, G, B
-  int bits = 0;              ///< of a sample: 8, 16 or 32
-  bool is_float = false;     ///< samples are floating-point
-  double full_scale_dn = 0;  ///< 255 or 65535; 1 for floating-point files
+  Image<float> pixels;  ///< digital numbers (DN); 1 channel, or 3 in the order R, G, B
+  int bits = 0;         ///< of a sample: 8 or 16, or 32 or 64 in floating-point files
+
+  bool is_float() const { return bits > 16; }
+  /// White of the format: 255 or 65535; 1 for floating-point files.
+  double full_scale_dn() const { return is_float() ? 1 : (1 << bits) - 1; }
 };
 
 /// Reads PNG (1 to 16 bits; up to 8 are scaled to 8), TIFF (8 or 16 bits unsigned, 32 or 64 bits float) or JPEG (8

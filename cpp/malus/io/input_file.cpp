@@ -17,6 +17,15 @@ constexpr std::size_t longest_line = 1 << 26;
 
 }  // namespace
 
+void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators) {
+  words.clear();
+  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
+    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
+    words.push_back(line.substr(at, end - at));
+    at = end;
+  }
+}
+
 std::string path_of_windows(std::string_view text) {
   return text.find('\\') == std::string_view::npos
              ? ""
@@ -64,71 +73,54 @@ Error InputFile::error(const std::string& message) const {
   return input_error(what_ + " " + path_.string() + ": " + message);
 }
 
-std::size_t InputFile::read_part(char* target, std::size_t size) {
-  for (;;) {
-    const ssize_t got = ::read(descriptor_, target, size);
-    if (got >= 0) return static_cast<std::size_t>(got);
-    if (errno == EINTR) continue;
-    throw resource_error("cannot read " + what_ + " " + path_.string() + ": " + std::generic_category().message(errno));
+std::string_view InputFile::buffered() {
+  while (begin_ == end_) {
+    const ssize_t got = ::read(descriptor_, buffer_.data(), buffer_.size());
+    if (got == 0) return {};
+    if (got > 0) {
+      begin_ = 0;
+      end_ = static_cast<std::size_t>(got);
+    } else if (errno != EINTR) {
+      throw resource_error("cannot read " + what_ + " " + path_.string() + ": " +
+                           std::generic_category().message(errno));
+    }
   }
+  return {buffer_.data() + begin_, end_ - begin_};
 }
 
-bool InputFile::fill() {
-  begin_ = 0;
-  end_ = read_part(buffer_.data(), buffer_.size());
-  return end_ > 0;
+std::string_view InputFile::take(std::uint64_t size) {
+  const std::string_view part = buffered().substr(0, size);
+  if (part.empty()) throw error("is truncated (ends after " + std::to_string(size_) + " bytes)");
+  begin_ += part.size();
+  position_ += part.size();
+  return part;
 }
 
 void InputFile::skip(std::uint64_t size) {
-  while (size > 0) {
-    if (begin_ == end_ && !fill()) throw error("is truncated (ends after " + std::to_string(size_) + " bytes)");
-    const auto part = static_cast<std::size_t>(std::min<std::uint64_t>(size, end_ - begin_));
-    begin_ += part;
-    position_ += part;
-    size -= part;
-  }
-}
-
-std::size_t InputFile::read_some(void* target, std::size_t size) {
-  char* out = static_cast<char*>(target);
-  std::size_t copied = 0;
-  while (copied < size) {
-    if (begin_ == end_ && size - copied >= buffer_.size()) {
-      const std::size_t got = read_part(out + copied, size - copied);
-      if (got == 0) break;
-      copied += got;
-      continue;
-    }
-    if (begin_ == end_ && !fill()) break;
-    const std::size_t part = std::min(size - copied, end_ - begin_);
-    std::memcpy(out + copied, buffer_.data() + begin_, part);
-    begin_ += part;
-    copied += part;
-  }
-  position_ += copied;
-  return copied;
+  while (size > 0) size -= take(size).size();
 }
 
 void InputFile::read(void* target, std::size_t size) {
-  if (read_some(target, size) != size) throw error("is truncated (ends after " + std::to_string(size_) + " bytes)");
+  char* out = static_cast<char*>(target);
+  while (size > 0) {
+    const std::string_view part = take(size);
+    std::memcpy(out, part.data(), part.size());
+    out += part.size();
+    size -= part.size();
+  }
 }
 
 bool InputFile::read_line(std::string_view& line) {
   line_.clear();
-  bool any = false;
-  while (begin_ < end_ || fill()) {
-    any = true;
-    const char* start = buffer_.data() + begin_;
-    const std::size_t available = end_ - begin_;
-    const char* stop = static_cast<const char*>(std::memchr(start, '\n', available));
-    const std::size_t length = stop ? static_cast<std::size_t>(stop - start) : available;
-    line_.append(start, length);
-    begin_ += length + (stop ? 1 : 0);
-    position_ += length + (stop ? 1 : 0);
-    if (stop) break;
-    if (line_.size() > longest_line) throw error("has a line of more than 64 MB; is it a text file?");
+  if (buffered().empty()) return false;
+  for (bool ended = false; !ended && !buffered().empty();) {
+    const std::string_view rest = buffered();
+    const std::size_t length = std::min(rest.find('\n'), rest.size());
+    line_.append(rest.substr(0, length));
+    ended = length < rest.size();
+    if (!ended && line_.size() > longest_line) throw error("has a line of more than 64 MB; is it a text file?");
+    take(length + (ended ? 1 : 0));
   }
-  if (!any) return false;
   ++line_number_;
   if (!line_.empty() && line_.back() == '\r') line_.pop_back();
   line = line_;

@@ -32,6 +32,9 @@ std::optional<T> number_of(std::string_view text) {
   return is_number ? std::optional(value) : std::nullopt;
 }
 
+/// Replaces `words` by those of a line.
+void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;");
+
 /// Advice, for messages, on what to write instead of the backslashes in a path or in a line of a file; "" = no
 /// backslashes.
 std::string path_of_windows(std::string_view text);
@@ -55,12 +58,12 @@ class InputFile {
   /// them.
   std::uint64_t remaining() const { return position_ < size_ ? size_ - position_ : 0; }
 
+  /// The next bytes in memory, which are still to be read; empty only at the end. Valid until the next call.
+  std::string_view buffered();
   /// Copies exactly `size` bytes; throws an input error ("… is truncated") when the file ends before.
   void read(void* target, std::size_t size);
   /// Skips exactly `size` bytes; errors as in read().
   void skip(std::uint64_t size);
-  /// Up to `size` bytes; the number copied is less only at the end of the file.
-  std::size_t read_some(void* target, std::size_t size);
   /// Next line without its line break ("\n" or "\r\n"); false at the end. The view is valid until the next call.
   bool read_line(std::string_view& line);
   /// Number of the line that was read last, from 1.
@@ -70,9 +73,8 @@ class InputFile {
   Error error(const std::string& message) const;
 
  private:
-  bool fill();
-  /// One read into memory; 0 at the end of the file.
-  std::size_t read_part(char* target, std::size_t size);
+  /// Reads the next bytes, at least one and at most `size`; throws at the end of the file.
+  std::string_view take(std::uint64_t size);
 
   std::filesystem::path path_;
   std::string what_;

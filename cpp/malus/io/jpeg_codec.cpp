@@ -135,7 +135,7 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
                            reader.jpeg.num_components,
                            most_pixels_per_byte * static_cast<double>(bytes.size())};
   check(header);
-  RawImage image{Image<float>(header.size, header.channels), 8, false, 255.0};
+  RawImage image{Image<float>(header.size, header.channels), 8};
   std::vector<JSAMPLE> row(static_cast<std::size_t>(header.size.width) * static_cast<std::size_t>(header.channels));
   if (!read_rows(reader, row.data(), image.pixels)) throw std::runtime_error(reader.message);
   return image;

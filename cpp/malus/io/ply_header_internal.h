@@ -4,23 +4,30 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "malus/io/input_file_internal.h"
 
 namespace malus {
 
-enum class PlyType { int8, uint8, int16, uint16, int32, uint32, float32, float64 };
+/// A type of numbers, which has two names.
+struct PlyType {
+  std::string_view name, name_with_bits;
+  std::size_t bytes;
+  bool is_floating;
+  double (*value)(const unsigned char*, bool swap);  ///< of a number in a file; `swap` = the other byte order
+};
 enum class PlyFormat { ascii, little_endian, big_endian };
-
-std::size_t size_of(PlyType type);
 
 struct PlyProperty {
   std::string name;
-  PlyType type = PlyType::float32;
-  std::optional<PlyType> list_count;  ///< type of the length, if the property is a list
+  const PlyType* type = nullptr;
+  const PlyType* list_count = nullptr;  ///< type of the length, if the property is a list
+
+  /// Type of the property's first number.
+  const PlyType& first_type() const { return list_count ? *list_count : *type; }
 };
 
 struct PlyElement {
@@ -38,8 +45,8 @@ struct PlyHeader {
   std::vector<PlyElement> elements;
 };
 
-/// Whether the file starts like a PLY.
-bool is_ply(const std::filesystem::path& path);
+/// Whether the file starts like a PLY; nothing of it may have been read.
+bool is_ply(InputFile& file);
 
 /// Reads the header; the file then stands at the first element.
 PlyHeader read_ply_header(InputFile& file);

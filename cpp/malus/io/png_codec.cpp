@@ -154,8 +154,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
   for (std::size_t v = 0; v < height; ++v) reader.rows[v] = reader.samples.data() + v * reader.row_bytes;
   if (!read_rows(reader)) throw std::runtime_error(reader.error);
 
-  RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits, false,
-                 reader.bits == 16 ? 65535.0 : 255.0};
+  RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits};
   if (reader.bits == 16) {
     to_float<png_uint_16>(reader.samples.data(), image.pixels);
   } else {

@@ -4,13 +4,12 @@
 #include <cctype>
 #include <charconv>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <optional>
 #include <span>
-#include <sstream>
 #include <utility>
 
+#include "malus/core/digits_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/input_file_internal.h"
@@ -173,27 +172,11 @@ class CloudBuilder {
   std::size_t bad_ = 0, first_bad_ = 0;
 };
 
-/// Splits a line; `words` is reused.
-void split(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;") {
-  words.clear();
-  for (std::size_t at = 0; (at = line.find_first_not_of(separators, at)) != std::string_view::npos;) {
-    const std::size_t end = std::min(line.find_first_of(separators, at), line.size());
-    words.push_back(line.substr(at, end - at));
-    at = end;
-  }
-}
-
 bool parse_number(std::string_view word, double& value) {
   if (!word.empty() && word.front() == '+') word.remove_prefix(1);
   const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
   if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
   return error != std::errc::invalid_argument && end == word.data() + word.size();
-}
-
-std::string number_text(double value) {
-  std::ostringstream text;
-  text << value;
-  return text.str();
 }
 
 Error malformed_line(const InputFile& file, std::string_view line, const std::string& expected = "numbers") {
@@ -204,36 +187,6 @@ Error malformed_line(const InputFile& file, std::string_view line, const std::st
 // ---- PLY ----
 
 constexpr std::uint64_t records_between_checks = 1 << 16;
-
-template <class T>
-double load(const unsigned char* bytes, bool swap) {
-  std::array<unsigned char, sizeof(T)> raw;
-  std::memcpy(raw.data(), bytes, sizeof(T));
-  if (swap) std::reverse(raw.begin(), raw.end());
-  return static_cast<double>(std::bit_cast<T>(raw));
-}
-
-double load(PlyType type, const unsigned char* bytes, bool swap) {
-  switch (type) {
-    case PlyType::int8:
-      return load<std::int8_t>(bytes, swap);
-    case PlyType::uint8:
-      return load<std::uint8_t>(bytes, swap);
-    case PlyType::int16:
-      return load<std::int16_t>(bytes, swap);
-    case PlyType::uint16:
-      return load<std::uint16_t>(bytes, swap);
-    case PlyType::int32:
-      return load<std::int32_t>(bytes, swap);
-    case PlyType::uint32:
-      return load<std::uint32_t>(bytes, swap);
-    case PlyType::float32:
-      return load<float>(bytes, swap);
-    case PlyType::float64:
-      return load<double>(bytes, swap);
-  }
-  return 0;
-}
 
 /// Reads the records of one element after another, in any of the formats.
 class PlyReader {
@@ -286,36 +239,37 @@ class PlyReader {
     file_.read(record_.data(), record_.size());
     const unsigned char* bytes = record_.data();
     for (std::size_t p = 0; p < element.properties.size(); ++p) {
-      values_[p] = load(element.properties[p].type, bytes, swap());
-      bytes += size_of(element.properties[p].type);
+      const PlyType& type = *element.properties[p].type;
+      values_[p] = type.value(bytes, swap());
+      bytes += type.bytes;
     }
   }
 
   void read_list_record(const PlyElement& element) {
     for (std::size_t p = 0; p < element.properties.size(); ++p) {
       const PlyProperty& property = element.properties[p];
-      values_[p] = read_value(property.list_count.value_or(property.type));
+      values_[p] = read_value(property.first_type());
       if (!property.list_count) continue;
-      const std::size_t size = size_of(property.type);
-      const std::uint64_t length = list_length(values_[p], size);
-      record_.resize(length * size);
+      const PlyType& type = *property.type;
+      const std::uint64_t length = list_length(values_[p], type.bytes);
+      record_.resize(length * type.bytes);
       file_.read(record_.data(), record_.size());
       lists_[p].resize(length);
-      for (std::size_t i = 0; i < length; ++i) lists_[p][i] = load(property.type, record_.data() + i * size, swap());
+      for (std::size_t i = 0; i < length; ++i) lists_[p][i] = type.value(record_.data() + i * type.bytes, swap());
     }
   }
 
-  double read_value(PlyType type) {
+  double read_value(const PlyType& type) {
     std::array<unsigned char, 8> bytes;
-    file_.read(bytes.data(), size_of(type));
-    return load(type, bytes.data(), swap());
+    file_.read(bytes.data(), type.bytes);
+    return type.value(bytes.data(), swap());
   }
 
   void read_text_record(const PlyElement& element) {
     std::string_view line;
     do {
       if (!file_.read_line(line)) throw file_.error("is truncated: ends before its last \"" + element.name + "\"");
-      split(line, words_, " \t");
+      split_words(line, words_, " \t");
     } while (words_.empty());
     std::size_t next = 0;
     const auto number = [&] {
@@ -351,9 +305,9 @@ class PlyReader {
   std::vector<std::string_view> words_;
 };
 
-double color_scale_of(PlyType type) {
-  if (type == PlyType::float32 || type == PlyType::float64) return 255;
-  return size_of(type) == 2 ? 255.0 / 65535 : 1;
+double color_scale_of(const PlyType& type) {
+  if (type.is_floating) return 255;
+  return type.bytes == 2 ? 255.0 / 65535 : 1;
 }
 
 PointCloud read_ply_vertices(PlyReader& reader, const InputFile& file, const PlyElement& element,
@@ -367,7 +321,7 @@ PointCloud read_ply_vertices(PlyReader& reader, const InputFile& file, const Ply
     if (!columns.column[slot]) throw file.error("has vertices without " + std::string(slot_names[slot][0]));
   }
   const auto& red = columns.column[slot_red];
-  CloudBuilder builder(columns, red ? color_scale_of(element.properties[*red].type) : 1);
+  CloudBuilder builder(columns, red ? color_scale_of(*element.properties[*red].type) : 1);
   bool reserved = false;
   reader.read(element, context, [&](const std::vector<double>& values, const auto&) {
     // Only here, because the reader has now compared the count with the file's size.
@@ -392,7 +346,7 @@ Triangles read_ply_faces(PlyReader& reader, const InputFile& file, const PlyElem
     const std::vector<double>& polygon = lists[list];
     for (const double index : polygon) {
       if (!(index >= 0 && index < static_cast<double>(vertices))) {
-        throw file.error("face " + std::to_string(face) + " has the vertex index " + number_text(index) +
+        throw file.error("face " + std::to_string(face) + " has the vertex index " + shortest_text(index) +
                          ", expected 0 to " + std::to_string(vertices - 1));
       }
     }
@@ -444,7 +398,7 @@ std::size_t slot_of_column(std::string_view name) {
 std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
   const bool comment = is_comment(line);
   line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
-  split(line, words);
+  split_words(line, words);
   if (words.empty() || (comment && slot_of_column(words[0]) == slot_count)) return std::nullopt;
   Columns columns;
   for (std::size_t i = 0; i < words.size(); ++i) {
@@ -503,7 +457,7 @@ bool has_decimal_commas(std::string_view line, std::vector<std::string_view>& wo
     const bool inside = comma != std::string_view::npos && comma > 0 && comma + 1 < word.size();
     return inside && comma == word.rfind(',') && is_digit(word[comma - 1]) && is_digit(word[comma + 1]);
   };
-  split(line, words, " \t;");
+  split_words(line, words, " \t;");
   return words.size() >= 3 && std::ranges::any_of(words, is_decimal);
 }
 
@@ -526,7 +480,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
       if (named) continue;
     }
     if (is_comment(line)) continue;
-    split(line, words);
+    split_words(line, words);
     values.resize(words.size());
     bool numbers = true;
     for (std::size_t i = 0; i < words.size(); ++i) numbers = numbers && parse_number(words[i], values[i]);
@@ -553,15 +507,13 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
   return builder->finish(file, !named && columns_there == 6);
 }
 
-/// Throws for files that are neither PLY nor text.
-void require_text(const std::filesystem::path& path, const InputFile& file) {
-  InputFile start(path, "point cloud");
-  std::array<char, 512> bytes{};
-  const std::size_t length = start.read_some(bytes.data(), bytes.size());
-  const bool text = std::none_of(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(length), [](char c) {
-    return static_cast<unsigned char>(c) < ' ' && c != '\n' && c != '\r' && c != '\t';
-  });
-  if (!text) throw file.error("is neither PLY nor text with x y z in each line");
+/// Throws for files that are neither PLY nor text; nothing of the file may have been read.
+void require_text(InputFile& file) {
+  const auto is_of_text = [](char c) {
+    return static_cast<unsigned char>(c) >= ' ' || c == '\n' || c == '\r' || c == '\t';
+  };
+  if (!std::ranges::all_of(file.buffered().substr(0, 512), is_of_text))
+    throw file.error("is neither PLY nor text with x y z in each line");
 }
 
 // ---- writing ----
@@ -587,8 +539,7 @@ struct PlyLayout {
     encoder.put(std::uint8_t{3});
     encoder.put(triangle);
   }
-  /// `faces`: nothing for a cloud.
-  std::string header(std::size_t vertices, std::optional<std::size_t> faces) const {
+  std::string header(std::size_t vertices, std::size_t faces) const {
     const std::string coordinate = doubles ? "property double " : "property float ";
     std::string header = "ply\nformat binary_little_endian 1.0\n";
     for (const std::string& comment : comments) header += "comment " + comment + "\n";
@@ -596,7 +547,7 @@ struct PlyLayout {
     for (const char* name : {"x", "y", "z"}) header += coordinate + name + "\n";
     if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
     if (colors) header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
-    if (faces) header += "element face " + std::to_string(*faces) + "\nproperty list uchar int vertex_indices\n";
+    header += "element face " + std::to_string(faces) + "\nproperty list uchar int vertex_indices\n";
     return header + "end_header\n";
   }
 };
@@ -608,32 +559,6 @@ bool needs_double(const Eigen::AlignedBox3d& box, std::size_t count) {
   const double largest = std::max(box.min().cwiseAbs().maxCoeff(), box.max().cwiseAbs().maxCoeff());
   const double spacing = box.diagonal().norm() / std::sqrt(static_cast<double>(count));
   return largest * float_rounding > 1e-3 * spacing;
-}
-
-void write(const std::filesystem::path& path, const PointCloud& cloud, const Triangles* triangles,
-           const std::vector<std::string>& comments, const Context& context) {
-  const std::size_t count = cloud.points.size();
-  if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
-      (!cloud.colors.empty() && cloud.colors.size() != count)) {
-    throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
-                      std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
-                      " colors, expected none or as many");
-  }
-  Eigen::AlignedBox3d box;
-  for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
-  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty(), comments};
-  AtomicFile file(path);
-  const std::string header = layout.header(count, triangles ? std::optional(triangles->size()) : std::nullopt);
-  file.write(header);
-  const std::size_t first_face = header.size() + count * layout.vertex_size();
-  file.expect(first_face + (triangles ? triangles->size() * PlyLayout::face_size : 0));
-  write_records(file, header.size(), count, layout.vertex_size(), context,
-                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
-  if (triangles) {
-    write_records(file, first_face, triangles->size(), PlyLayout::face_size, context,
-                  [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face((*triangles)[i], encoder); });
-  }
-  file.commit();
 }
 
 /// Throws for formats that only the Python package reads.
@@ -648,14 +573,14 @@ void require_no_scan(const std::filesystem::path& path, const InputFile& file) {
 PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context, const std::string& what) {
   InputFile file(path, what);
   require_no_scan(path, file);
-  if (is_ply(path)) return read_ply(file, PlyParts::vertices, context).vertices;
-  require_text(path, file);
+  if (is_ply(file)) return read_ply(file, PlyParts::vertices, context).vertices;
+  require_text(file);
   return read_xyz(file, context);
 }
 
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context) {
   InputFile file(path, "mesh");
-  if (!is_ply(path)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
+  if (!is_ply(file)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
   if (mesh.triangles.empty()) throw file.error("has no faces");
   return mesh;
@@ -664,18 +589,34 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
 TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context) {
   InputFile file(path, "reference");
   require_no_scan(path, file);
-  if (is_ply(path)) return read_ply(file, PlyParts::vertices_and_faces, context);
-  require_text(path, file);
+  if (is_ply(file)) return read_ply(file, PlyParts::vertices_and_faces, context);
+  require_text(file);
   return {read_xyz(file, context), {}};
-}
-
-void write_ply(const std::filesystem::path& path, const PointCloud& cloud, const Context& context) {
-  write(path, cloud, nullptr, {}, context);
 }
 
 void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, const Context& context,
                const std::vector<std::string>& comments) {
-  write(path, mesh.vertices, &mesh.triangles, comments, context);
+  const PointCloud& cloud = mesh.vertices;
+  const std::size_t count = cloud.points.size();
+  if ((!cloud.normals.empty() && cloud.normals.size() != count) ||
+      (!cloud.colors.empty() && cloud.colors.size() != count)) {
+    throw input_error("cannot write " + path.string() + ": " + std::to_string(count) + " points with " +
+                      std::to_string(cloud.normals.size()) + " normals and " + std::to_string(cloud.colors.size()) +
+                      " colors, expected none or as many");
+  }
+  Eigen::AlignedBox3d box;
+  for (const Eigen::Vector3d& point : cloud.points) box.extend(point);
+  const PlyLayout layout{needs_double(box, count), !cloud.normals.empty(), !cloud.colors.empty(), comments};
+  AtomicFile file(path);
+  const std::string header = layout.header(count, mesh.triangles.size());
+  file.write(header);
+  const std::size_t first_face = header.size() + count * layout.vertex_size();
+  file.expect(first_face + mesh.triangles.size() * PlyLayout::face_size);
+  write_records(file, header.size(), count, layout.vertex_size(), context,
+                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
+  write_records(file, first_face, mesh.triangles.size(), PlyLayout::face_size, context,
+                [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face(mesh.triangles[i], encoder); });
+  file.commit();
 }
 
 void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, const Context& context,

@@ -9,8 +9,6 @@
 #include <span>
 
 #include "malus/core/error.h"
-#include "malus/io/angles_of_names_internal.h"
-#include "malus/io/file_glob_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"

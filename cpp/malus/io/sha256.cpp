@@ -1,11 +1,8 @@
 #include <openssl/evp.h>
 
-#include <algorithm>
 #include <array>
-#include <cstdint>
 #include <memory>
 #include <stdexcept>
-#include <vector>
 
 #include "malus/io/input_file_internal.h"
 #include "malus/io/sha256_internal.h"
@@ -52,11 +49,12 @@ std::string sha256_of_bytes(std::string_view bytes) {
 }
 
 std::string sha256_of_file(const std::filesystem::path& path, const std::string& what) {
-  constexpr std::size_t largest_part = 1 << 20;
   InputFile file(path, what);
-  std::vector<char> part(std::min<std::uint64_t>(largest_part, file.size()));
   Sha256 hash;
-  while (const std::size_t length = file.read_some(part.data(), part.size())) hash.add({part.data(), length});
+  for (std::string_view part = file.buffered(); !part.empty(); part = file.buffered()) {
+    hash.add(part);
+    file.skip(part.size());
+  }
   return hash.hex();
 }
 

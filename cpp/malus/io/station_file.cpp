@@ -8,7 +8,6 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/core/length_unit_internal.h"
 #include "malus/core/refractive_index_internal.h"
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
 #include "malus/io/given_scale_internal.h"
@@ -67,38 +66,21 @@ void refuse(const TomlTable& table, const Keys& keys, const std::string& why) {
   if (found != keys.end()) throw table.error(*found, why);
 }
 
-/// Sub-table of the document, or nothing.
-const toml::table* section(const TomlTable& document, std::string_view key) {
-  const toml::node* node = document.find(key);
-  if (node && !node->is_table()) throw document.wrong(key, "a table, [" + std::string(key) + "]");
-  return node ? node->as_table() : nullptr;
-}
-
-/// The same, but with its keys checked.
-std::optional<TomlTable> checked_section(const TomlTable& document, std::string_view key, const Keys& keys) {
-  const toml::table* table = section(document, key);
-  return table ? std::optional(TomlTable(*table, document.file(), "[" + std::string(key) + "]", keys)) : std::nullopt;
-}
-
-/// Tables of an array like [[scale]]; `expected` is for messages.
-std::vector<const toml::table*> tables(const TomlTable& table, std::string_view key, const std::string& expected) {
-  std::vector<const toml::table*> result;
-  const toml::node* node = table.find(key);
-  if (!node) return result;
-  if (!node->is_array()) throw table.wrong(key, expected);
-  for (const toml::node& element : *node->as_array()) {
-    if (!element.is_table()) throw table.wrong(key, expected);
-    result.push_back(element.as_table());
+/// The pairs of a list such as [[90, 45], [135, 0]]; nothing unless it is a list of pairs of finite numbers.
+std::optional<std::vector<std::array<double, 2>>> pairs_of(const toml::node& node) {
+  if (!node.is_array()) return std::nullopt;
+  std::vector<std::array<double, 2>> pairs;
+  for (const toml::node& row : *node.as_array()) {
+    if (!row.is_array() || row.as_array()->size() != 2) return std::nullopt;
+    std::array<double, 2>& pair = pairs.emplace_back();
+    for (std::size_t i = 0; i < 2; ++i) {
+      const toml::node& number = (*row.as_array())[i];
+      const std::optional<double> value = number.is_number() ? number.value<double>() : std::nullopt;
+      if (!value || !std::isfinite(*value)) return std::nullopt;
+      pair[i] = *value;
+    }
   }
-  return result;
-}
-
-/// The tables of an array like [[scale]], with their keys checked.
-std::vector<TomlTable> numbered_tables(const TomlTable& document, const std::string& key, const Keys& keys) {
-  std::vector<TomlTable> result;
-  for (const toml::table* table : tables(document, key, "tables [[" + key + "]]"))
-    result.emplace_back(*table, document.file(), "[[" + key + "]] " + std::to_string(result.size() + 1), keys);
-  return result;
+  return pairs;
 }
 
 std::string read_unit(const TomlTable& table, const std::string& otherwise) {
@@ -110,21 +92,11 @@ std::string read_unit(const TomlTable& table, const std::string& otherwise) {
 // ---- [polarized] ----
 
 std::array<double, 4> read_mosaic(const TomlTable& table) {
-  const std::string expected = "two rows of two angles in degrees, such as [[90, 45], [135, 0]]";
-  std::array<double, 4> angles{};
-  const toml::array* rows = table.find("mosaic")->as_array();
-  if (!rows || rows->size() != 2) throw table.wrong("mosaic", expected);
-  for (std::size_t row = 0; row < 2; ++row) {
-    const toml::array* cells = rows->get(row)->as_array();
-    if (!cells || cells->size() != 2) throw table.wrong("mosaic", expected);
-    for (std::size_t column = 0; column < 2; ++column) {
-      const toml::node* cell = cells->get(column);
-      const std::optional<double> angle = cell->is_number() ? cell->value<double>() : std::nullopt;
-      if (!angle || !std::isfinite(*angle)) throw table.wrong("mosaic", expected);
-      angles[2 * row + column] = *angle;
-    }
-  }
-  return angles;
+  const auto rows = pairs_of(*table.find("mosaic"));
+  if (!rows || rows->size() != 2)
+    throw table.wrong("mosaic", "two rows of two angles in degrees, such as [[90, 45], [135, 0]]");
+  const auto &top = rows->front(), &bottom = rows->back();
+  return {top[0], top[1], bottom[0], bottom[1]};
 }
 
 std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
@@ -151,37 +123,26 @@ std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
   return images;
 }
 
-/// Number of angles that differ on the circle of 180°.
-std::size_t distinct_angles(std::vector<double> angles_deg) {
+/// Steps from angle to angle around the circle of 180°; they add up to 180.
+std::vector<double> steps_around(std::vector<double> angles_deg) {
   for (double& angle : angles_deg) angle -= 180 * std::floor(angle / 180);
-  std::sort(angles_deg.begin(), angles_deg.end());
-  std::size_t count = 0;
-  for (std::size_t i = 0; i < angles_deg.size(); ++i) {
-    const double previous = i > 0 ? angles_deg[i - 1] : angles_deg.back() - 180;
-    if (angles_deg[i] - previous > distinct_angle_deg) ++count;
-  }
-  return std::max<std::size_t>(count, angles_deg.empty() ? 0 : 1);
-}
-
-/// Width of the narrowest sector of the circle of 180° that holds all angles.
-double sector_of(std::vector<double> angles_deg) {
-  for (double& angle : angles_deg) angle -= 180 * std::floor(angle / 180);
-  std::sort(angles_deg.begin(), angles_deg.end());
-  double widest_gap = angles_deg.front() + 180 - angles_deg.back();
-  for (std::size_t i = 1; i < angles_deg.size(); ++i)
-    widest_gap = std::max(widest_gap, angles_deg[i] - angles_deg[i - 1]);
-  return 180 - widest_gap;
+  std::ranges::sort(angles_deg);
+  std::vector<double> steps;
+  for (std::size_t i = 0; i < angles_deg.size(); ++i)
+    steps.push_back(angles_deg[i] - (i > 0 ? angles_deg[i - 1] : angles_deg.back() - 180));
+  return steps;
 }
 
 /// Throws unless the angles determine intensity, degree and phase, and can be degrees.
 void require_usable_angles(const TomlTable& table, std::string_view key, const std::vector<double>& angles_deg) {
-  const std::size_t distinct = distinct_angles(angles_deg);
+  const std::vector<double> steps = steps_around(angles_deg);
+  const auto distinct = std::ranges::count_if(steps, [](double step) { return step > distinct_angle_deg; });
   if (distinct < 3) {
     throw data_error(
         table.where(key) + " has " + std::to_string(distinct) +
         " distinct polarizer angles modulo 180°, expected at least 3: intensity, degree and phase are three unknowns");
   }
-  if (sector_of(angles_deg) < least_sector_deg) {
+  if (180 - std::ranges::max(steps) < least_sector_deg) {
     throw table.error(key,
                       "all angles lie within 6.3°, expected degrees over most of half a turn, such as 0, 45, 90 and "
                       "135; are these radians?");
@@ -272,19 +233,14 @@ std::optional<std::vector<double>> read_exposures(const TomlTable& table, const 
 
 /// A list of pixels [x, y], or none.
 std::vector<std::array<double, 2>> read_pixels(const TomlTable& table, std::string_view key) {
-  std::vector<std::array<double, 2>> pixels;
-  const toml::node* node = table.find(key);
-  if (!node) return pixels;
-  const std::string expected = "a list of at most 8 pixels, [[x, y], …], in whole numbers";
-  if (!node->is_array() || node->as_array()->size() > most_curve_pixels) throw table.wrong(key, expected);
-  for (const toml::node& entry : *node->as_array()) {
-    const toml::array* pair = entry.as_array();
-    if (pair == nullptr || pair->size() != 2) throw table.wrong(key, expected);
-    const auto x = (*pair)[0].value_exact<std::int64_t>(), y = (*pair)[1].value_exact<std::int64_t>();
-    if (!x || !y) throw table.wrong(key, expected);
-    pixels.push_back({static_cast<double>(*x), static_cast<double>(*y)});
-  }
-  return pixels;
+  if (!table.has(key)) return {};
+  const auto pixels = pairs_of(*table.find(key));
+  const auto is_whole = [](const std::array<double, 2>& pixel) {
+    return pixel[0] == std::floor(pixel[0]) && pixel[1] == std::floor(pixel[1]);
+  };
+  if (!pixels || pixels->size() > most_curve_pixels || !std::ranges::all_of(*pixels, is_whole))
+    throw table.wrong(key, "a list of at most 8 pixels, [[x, y], …], in whole numbers");
+  return *pixels;
 }
 
 /// Names of images in memory, for messages.
@@ -376,9 +332,8 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
                                   const std::optional<PhotosSpec>& photos) {
   std::vector<ImageMark> marks;
   std::set<std::string> images;
-  for (const toml::table* entry : tables(table, key, "a list of marks { image = \"…\", x = …, y = … }")) {
-    const TomlTable mark(*entry, table.file(), table.where(key).substr(table.file().string().size() + 2),
-                         keys_of(ImageMark{}));
+  const std::string expected = "a list of marks { image = \"…\", x = …, y = … }";
+  for (const TomlTable& mark : table.tables(key, keys_of(ImageMark{}), expected)) {
     ImageMark result;
     result.image = mark.required(mark.text("image"), "image", "the name of a photo");
     result.x = mark.required(mark.number("x"), "x", "the column in pixels");
@@ -395,7 +350,7 @@ std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
 std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station) {
   std::vector<ControlPoint> points;
   std::set<std::string> names;
-  for (const TomlTable& table : numbered_tables(document, "control", keys_of(ControlPoint{}))) {
+  for (const TomlTable& table : document.tables("control", keys_of(ControlPoint{}), "tables [[control]]")) {
     ControlPoint point;
     point.name = read_name(table, points.size(), names);
     point.xyz = table.required(table.numbers_exactly<3>("xyz"), "xyz", "the coordinates [X, Y, Z]");
@@ -584,15 +539,11 @@ double read_radius(const TomlTable& table) {
 
 /// [prior].plane, .sphere or .cylinder; nothing without them.
 std::optional<Shape> read_shape(const TomlTable& table) {
-  const auto inner = [&table](std::string_view key, const Keys& known) {
-    const toml::table* found = section(table, key);
-    return found ? std::optional(TomlTable(*found, table.file(), "[prior]." + std::string(key), known)) : std::nullopt;
-  };
-  if (const auto plane = inner("plane", keys_of(PlaneShape{})))
+  if (const auto plane = table.section("plane", keys_of(PlaneShape{})))
     return PlaneShape{read_point(*plane, "point"), read_direction(*plane, "normal")};
-  if (const auto sphere = inner("sphere", keys_of(SphereShape{})))
+  if (const auto sphere = table.section("sphere", keys_of(SphereShape{})))
     return SphereShape{read_point(*sphere, "center"), read_radius(*sphere)};
-  if (const auto cylinder = inner("cylinder", keys_of(CylinderShape{}))) {
+  if (const auto cylinder = table.section("cylinder", keys_of(CylinderShape{}))) {
     return CylinderShape{read_point(*cylinder, "point"), read_direction(*cylinder, "axis"), read_radius(*cylinder)};
   }
   return std::nullopt;
@@ -635,9 +586,7 @@ PhotosSpec read_photos(const TomlTable& table) {
     spec.masks = table.resolve("masks", *masks);
     if (!std::filesystem::is_directory(*spec.masks)) throw table.wrong("masks", "an existing folder");
   }
-  if (const toml::table* camera = section(table, "camera")) {
-    spec.camera = read_lens(TomlTable(*camera, table.file(), "[photos].camera", joined({lens_keys, brown_keys})));
-  }
+  if (const auto camera = table.section("camera", joined({lens_keys, brown_keys}))) spec.camera = read_lens(*camera);
   return spec;
 }
 
@@ -679,7 +628,7 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
 
 /// Reads all bars; the bars of a given prior scale the prior and the camera's position.
 void read_scale_bars(const TomlTable& document, StationFile& station, bool has_prior) {
-  const std::vector<TomlTable> bars = numbered_tables(document, "scale", keys_of(ScaleBar{}));
+  const std::vector<TomlTable> bars = document.tables("scale", keys_of(ScaleBar{}), "tables [[scale]]");
   if (bars.empty()) return;
   if (!station.control.empty()) {
     throw document.error("scale",
@@ -698,9 +647,8 @@ void read_scale_bars(const TomlTable& document, StationFile& station, bool has_p
   for (const TomlTable& bar : bars) station.scale_bars.push_back(read_scale_bar(bar, station.photos));
   if (station.photos) return;
   std::optional<ColmapModel> model;
-  const toml::table* camera = section(document, "camera");
-  if (const auto folder = camera != nullptr ? (*camera)["colmap_model"].value<std::string>() : std::nullopt)
-    model = read_colmap_model(document.resolve("camera", *folder), ColmapParts::cameras_and_images);
+  if (!station.camera_files.empty())
+    model = read_colmap_model(station.camera_files.front().parent_path(), ColmapParts::cameras_and_images);
   GivenScale scale = given_scale(station.scale_bars, model ? &*model : nullptr, station.path.string() + ": [[scale]]");
   station.prior_scale = scale.factor;
   station.scale_errors = std::move(scale.errors);
@@ -758,10 +706,10 @@ void require_in_image(const std::vector<std::array<double, 2>>& curve_pixels, Si
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   require_in_image(station.polarized.curve_pixels, size, document.where("[polarized].curve_pixels"));
   std::set<std::string> names;
-  for (const TomlTable& table : numbered_tables(document, "patch", {"name", "box"}))
+  for (const TomlTable& table : document.tables("patch", {"name", "box"}, "tables [[patch]]"))
     station.patches.push_back(read_patch(table, read_name(table, station.patches.size(), names), size));
   names.clear();
-  for (const TomlTable& table : numbered_tables(document, "profile", keys_of(ProfileSpec{})))
+  for (const TomlTable& table : document.tables("profile", keys_of(ProfileSpec{}), "tables [[profile]]"))
     station.profiles.push_back(read_profile(table, read_name(table, station.profiles.size(), names), size));
 }
 
@@ -792,21 +740,19 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   const TomlTable document(root, path, "", known);
 
   station.name = path.parent_path().filename().string();
-  if (const auto table = checked_section(document, "station", {"name", "unit"})) {
+  if (const auto table = document.section("station", {"name", "unit"})) {
     station.name = table->text("name").value_or(station.name);
     station.unit = read_unit(*table, station.unit);
   }
-  if (const auto table = checked_section(document, "object", keys_of(ObjectSpec{})))
-    read_fields(*table, station.object);
-  const auto polarized = document.required(checked_section(document, "polarized", polarized_keys(given)), "polarized",
+  if (const auto table = document.section("object", keys_of(ObjectSpec{}))) read_fields(*table, station.object);
+  const auto polarized = document.required(document.section("polarized", polarized_keys(given)), "polarized",
                                            "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized, given);
-  if (const auto table = checked_section(document, "optics", {"refractive_index", "reflection", "light"}))
+  if (const auto table = document.section("optics", {"refractive_index", "reflection", "light"}))
     station.optics = read_optics(*table);
-  if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
-    station.photos = read_photos(*table);
+  if (const auto table = document.section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   const bool prior_in_memory = given != nullptr && given->has_prior;
-  if (const auto table = checked_section(document, "prior", joined({surface_keys, {"sigma"}}))) {
+  if (const auto table = document.section("prior", joined({surface_keys, {"sigma"}}))) {
     station.prior = read_prior(*table, prior_in_memory);
     station.prior_sigma = table->number("sigma", length_range);
   }
@@ -819,8 +765,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     images = size_of_images(station, polarized.where("images"));
   }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = checked_section(document, "camera", camera_keys))
-    read_camera(document, *table, images, station);
+  if (const auto table = document.section("camera", camera_keys)) read_camera(document, *table, images, station);
   const bool has_prior = station.prior || prior_in_memory;
   if (has_prior && !station.camera && !station.photos) {
     throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
@@ -860,8 +805,7 @@ StationFile read_photos_tables(const std::filesystem::path& path) {
   Keys all;
   for (const auto& entry : root) all.push_back(entry.first.str());
   const TomlTable document(root, station.path, "", all);
-  if (const auto table = checked_section(document, "photos", keys_of(PhotosSpec{})))
-    station.photos = read_photos(*table);
+  if (const auto table = document.section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   station.control = read_control(document, station);
   read_scale_bars(document, station, false);
   return station;

@@ -18,17 +18,13 @@ struct Close {
 };
 using Handle = std::unique_ptr<TIFF, Close>;
 
-/// Keeps the first error of one file; libtiff's own handler would print it.
-struct Errors {
-  std::string message;
-};
-
+/// Keeps the first error of one file in a text; libtiff's own handler would print it.
 int keep_error(TIFF*, void* user, const char*, const char* format, va_list arguments) {
-  auto& errors = *static_cast<Errors*>(user);
-  if (errors.message.empty()) {
+  auto& error = *static_cast<std::string*>(user);
+  if (error.empty()) {
     char text[512];
     std::vsnprintf(text, sizeof text, format, arguments);
-    errors.message = text;
+    error = text;
   }
   return 1;
 }
@@ -38,8 +34,8 @@ int drop_warning(TIFF*, void*, const char*, const char*, va_list) {
 }
 
 struct Options {
-  explicit Options(Errors& errors) : options(TIFFOpenOptionsAlloc()) {
-    TIFFOpenOptionsSetErrorHandlerExtR(options, keep_error, &errors);
+  explicit Options(std::string& error) : options(TIFFOpenOptionsAlloc()) {
+    TIFFOpenOptionsSetErrorHandlerExtR(options, keep_error, &error);
     TIFFOpenOptionsSetWarningHandlerExtR(options, drop_warning, nullptr);
   }
   ~Options() { TIFFOpenOptionsFree(options); }
@@ -237,7 +233,7 @@ void copy_block(const Layout& layout, const unsigned char* block, std::uint32_t 
   return layout.bits == 8 ? copy(std::uint8_t{}) : copy(std::uint16_t{});
 }
 
-void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<float>& pixels) {
+void read_blocks(TIFF* tiff, const Layout& layout, const std::string& error, Image<float>& pixels) {
   const tmsize_t block_bytes = layout.tiled ? TIFFTileSize(tiff) : TIFFStripSize(tiff);
   const std::size_t expected = std::size_t{layout.block_width} * layout.block_height *
                                (layout.planar ? 1 : layout.samples) * layout.sample_bytes();
@@ -256,10 +252,8 @@ void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<f
         const auto wanted = static_cast<tmsize_t>(expected / layout.block_height * rows);
         const tmsize_t got = layout.tiled ? TIFFReadEncodedTile(tiff, index, block.data(), block_bytes)
                                           : TIFFReadEncodedStrip(tiff, index, block.data(), block_bytes);
-        if (got < wanted || !errors.message.empty()) {
-          throw std::runtime_error("is truncated or damaged" +
-                                   (errors.message.empty() ? std::string() : " (" + errors.message + ")"));
-        }
+        if (got < wanted || !error.empty())
+          throw std::runtime_error("is truncated or damaged" + (error.empty() ? "" : " (" + error + ")"));
         copy_block(layout, block.data(), x, y, plane, pixels);
       }
     }
@@ -270,14 +264,14 @@ void read_blocks(TIFF* tiff, const Layout& layout, const Errors& errors, Image<f
 template <class Sample>
 void encode(AtomicFile& file, const Image<Sample>& image, int format, int compression,
             const std::function<void(TIFF*)>& add_tags) {
-  Errors errors;
-  const Options options(errors);
+  std::string error;
+  const Options options(error);
   const std::size_t data_bytes = image.count() * sizeof(Sample);
   const char* mode = data_bytes > (std::size_t{1} << 32) - (std::size_t{1} << 26) ? "w8" : "w";
   Target target(file);
   const auto require = [&](bool done) {
     if (target.failure) std::rethrow_exception(target.failure);
-    if (!done) throw resource_error("cannot write " + file.path().string() + ": " + errors.message);
+    if (!done) throw resource_error("cannot write " + file.path().string() + ": " + error);
   };
   Handle tiff(TIFFClientOpenExt("image", mode, static_cast<Stream*>(&target), target_read, target_write, seek,
                                 keep_open, size_of, nullptr, nullptr, options.options));
@@ -307,28 +301,26 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   }
   require(TIFFFlush(tiff.get()) != 0);
   tiff.reset();
-  require(errors.message.empty());
+  require(error.empty());
 }
 
 }  // namespace
 
 RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
-  Errors errors;
-  const Options options(errors);
+  std::string error;
+  const Options options(error);
   Source source(bytes);
   const Handle tiff(TIFFClientOpenExt("image", "rm", static_cast<Stream*>(&source), source_read, source_write, seek,
                                       keep_open, size_of, nullptr, nullptr, options.options));
-  if (!tiff) throw std::runtime_error("is not a readable TIFF (" + errors.message + ")");
+  if (!tiff) throw std::runtime_error("is not a readable TIFF (" + error + ")");
   const Layout layout = read_layout(tiff.get(), alpha);
   check_block(layout);
   check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
 
-  const bool is_float = layout.format == SAMPLEFORMAT_IEEEFP;
-  RawImage image{Image<float>::uninitialized(layout.size, layout.channels), layout.bits, is_float,
-                 is_float ? 1.0 : (layout.bits == 16 ? 65535.0 : 255.0)};
-  read_blocks(tiff.get(), layout, errors, image.pixels);
+  RawImage image{Image<float>::uninitialized(layout.size, layout.channels), layout.bits};
+  read_blocks(tiff.get(), layout, error, image.pixels);
   if (layout.photometric == PHOTOMETRIC_MINISWHITE) {
-    const auto white = static_cast<float>(image.full_scale_dn);
+    const auto white = static_cast<float>(image.full_scale_dn());
     const auto channels = static_cast<std::size_t>(layout.channels), colors = channels - (layout.alpha ? 1 : 0);
     for (std::size_t i = 0; i < image.pixels.count(); ++i) {
       if (i % channels < colors) image.pixels[i] = white - image.pixels[i];

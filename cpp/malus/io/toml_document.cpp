@@ -1,10 +1,12 @@
 #include <algorithm>
 #include <cctype>
+#include <sstream>
 #include <string_view>
 
 #include "malus/core/error.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/toml_document_internal.h"
+#include "malus/io/toml_json_internal.h"
 
 namespace malus {
 namespace {
@@ -55,6 +57,12 @@ toml::table read_toml(const std::filesystem::path& path, const std::string& what
     throw input_error(path.string() + ", line " + std::to_string(error.source().begin.line) + ": not TOML (" +
                       std::string(error.description()) + ")" + likely_cause(text, error));
   }
+}
+
+std::string read_toml_as_json(const std::filesystem::path& path, const std::string& what) {
+  std::ostringstream json;
+  json << toml::json_formatter(read_toml(path, what));
+  return json.str();
 }
 
 }  // namespace malus

@@ -1,11 +1,10 @@
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
 #include <sstream>
 #include <string_view>
 #include <system_error>
 
+#include "malus/core/digits_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/nearest_name_internal.h"
 #include "malus/io/toml_table_internal.h"
@@ -15,10 +14,7 @@ namespace {
 
 /// The value as written in the file, cut when it is long.
 std::string value_text(const toml::node& node) {
-  if (const auto* number = node.as_floating_point()) {
-    std::array<char, 32> shortest{};
-    return {shortest.data(), std::to_chars(shortest.begin(), shortest.end(), number->get()).ptr};
-  }
+  if (const auto* number = node.as_floating_point()) return shortest_text(number->get());
   std::ostringstream stream;
   node.visit([&](const auto& value) { stream << value; });
   std::string text = stream.str();
@@ -68,15 +64,18 @@ TomlTable::TomlTable(const toml::table& table, std::filesystem::path file, std::
   }
 }
 
+std::string TomlTable::full_name(std::string_view key) const {
+  return name_ + (name_.empty() ? "" : ".") + std::string(key);
+}
+
 std::string TomlTable::where(std::string_view key) const {
-  return file_.string() + ": " + name_ + (name_.empty() ? "" : ".") + std::string(key);
+  return file_.string() + ": " + full_name(key);
 }
 
 std::string TomlTable::place(std::string_view key) const {
   const toml::node* node = find(key);
   const auto line = (node ? node->source() : table_->source()).begin.line;
-  return file_.string() + (line > 0 ? ", line " + std::to_string(line) : "") + ": " + name_ +
-         (name_.empty() ? "" : ".") + std::string(key);
+  return file_.string() + (line > 0 ? ", line " + std::to_string(line) : "") + ": " + full_name(key);
 }
 
 Error TomlTable::error(std::string_view key, const std::string& message) const {
@@ -164,6 +163,29 @@ std::optional<std::vector<std::string>> TomlTable::texts(std::string_view key) c
     values.push_back(element.as_string()->get());
   }
   return values;
+}
+
+std::optional<TomlTable> TomlTable::section(std::string_view key, const std::vector<std::string_view>& known) const {
+  const toml::node* node = find(key);
+  if (!node) return std::nullopt;
+  const std::string in_brackets = "[" + std::string(key) + "]";
+  if (!node->is_table()) throw wrong(key, "a table, " + in_brackets);
+  return TomlTable(*node->as_table(), file_, name_.empty() ? in_brackets : full_name(key), known);
+}
+
+std::vector<TomlTable> TomlTable::tables(std::string_view key, const std::vector<std::string_view>& known,
+                                         const std::string& expected) const {
+  std::vector<TomlTable> result;
+  const toml::node* node = find(key);
+  if (!node) return result;
+  if (!node->is_array()) throw wrong(key, expected);
+  for (const toml::node& element : *node->as_array()) {
+    if (!element.is_table()) throw wrong(key, expected);
+    const std::string number = " " + std::to_string(result.size() + 1);
+    const std::string name = name_.empty() ? "[[" + std::string(key) + "]]" + number : full_name(key);
+    result.emplace_back(*element.as_table(), file_, name, known);
+  }
+  return result;
 }
 
 std::filesystem::path TomlTable::resolve(std::string_view key, const std::string& path) const {

@@ -53,6 +53,12 @@ class TomlTable {
   template <class T>
   T required(std::optional<T> value, std::string_view key, const std::string& expected) const;
 
+  /// The table of this key, or nothing; its keys must be `known`.
+  std::optional<TomlTable> section(std::string_view key, const std::vector<std::string_view>& known) const;
+  /// The tables of an array such as [[scale]]; `expected` is for the message if it is something else.
+  std::vector<TomlTable> tables(std::string_view key, const std::vector<std::string_view>& known,
+                                const std::string& expected) const;
+
   /// Path of a file that exists, is readable and not empty; relative paths start at the station file's folder.
   std::optional<std::filesystem::path> existing_file(std::string_view key) const;
   /// The path that the key names. The file need not exist, but the system must be able to look it up: names that are
@@ -68,6 +74,8 @@ class TomlTable {
   const std::filesystem::path& file() const { return file_; }
 
  private:
+  /// "<table>.<key>"
+  std::string full_name(std::string_view key) const;
   std::string place(std::string_view key) const;
 
   const toml::table* table_;

@@ -19,9 +19,7 @@ CaptureInput make_capture_input(const Station& station) {
   for (std::size_t k = 0; k < station.images.size(); ++k) input.names.push_back("images[" + std::to_string(k) + "]");
   input.load = [&station](std::size_t k) {
     // Whole numbers are treated like those of a file of 16 bits.
-    constexpr double white_of_16_bits = 65535;
-    return station.whole_numbers ? RawImage{station.images[k], 16, false, white_of_16_bits}
-                                 : RawImage{station.images[k], 32, true, 1.0};
+    return RawImage{station.images[k], station.whole_numbers ? 16 : 32};
   };
   return input;
 }

@@ -20,7 +20,7 @@
 #include "malus/station/quality_json_internal.h"
 #include "malus/station/step_functions_internal.h"
 #include "malus/station/surface_words_internal.h"
-#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 
 namespace malus {
@@ -209,7 +209,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
                 });
   job.files.add("fused/surface.glb", options.glb_triangles, [=, &surface, &picture](const std::filesystem::path& file) {
     const Image<std::uint8_t> texture =
-        display_image(picture, surface.depth, options.white_percentile, options.glb_texture_px, quiet);
+        display_image(picture, surface.depth, options.white_percentile, quiet, options.glb_texture_px);
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for_glb(surface, mesh.triangles, options, quiet);
     const int texel_px = display_block(picture.size(), options.glb_texture_px);

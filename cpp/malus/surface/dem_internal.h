@@ -1,10 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <filesystem>
+#include <string>
 
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
 #include "malus/core/image.h"
+#include "malus/core/length_unit_internal.h"
 #include "malus/surface/mesh.h"
 
 namespace malus {
@@ -36,6 +39,11 @@ Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const S
 /// The same for a mesh that is not in memory.
 Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context);
+
+/// Writes a GeoTIFF of an elevation model in the coordinate system of its plane; WORLD_ORIGIN, WORLD_X_AXIS,
+/// WORLD_Y_AXIS and WORLD_Z_AXIS in its metadata are the plane's frame in the world (Dem::origin, right, up, normal).
+/// Atomic.
+void write_dem(const std::filesystem::path& path, const Dem& dem, const LengthUnit& unit, const std::string& name);
 
 /// Whole factor by which pixels must grow so that a raster with these sides [px] has at most 400 million of them.
 double dem_growth(const Eigen::Vector2d& sides);

@@ -3,8 +3,10 @@
 #include <cmath>
 #include <vector>
 
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/surface/display_image_internal.h"
 
 namespace malus {
@@ -62,36 +64,27 @@ Rgb DisplayColors::operator()(int u, int v) const {
 }
 
 int display_block(Size size, int longest_side) {
-  return std::max(1, (std::max(size.width, size.height) + longest_side - 1) / longest_side);
+  return (std::max({size.width, size.height, 1}) - 1) / longest_side + 1;
 }
 
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  int longest_side, const Context& context) {
+                                  const Context& context, int longest_side) {
   const DisplayColors colors(color, depth, white_percentile);
   const int n = display_block(color.size(), longest_side);
-  auto display = Image<std::uint8_t>::uninitialized({(color.width() + n - 1) / n, (color.height() + n - 1) / n}, 3);
-  parallel_rows(context, display.height(), [&](int v) {
-    for (int u = 0; u < display.width(); ++u) {
-      const int u1 = std::min((u + 1) * n, color.width()), v1 = std::min((v + 1) * n, color.height());
-      const int count = (u1 - u * n) * (v1 - v * n);
-      std::array<int, 3> sum{count / 2, count / 2, count / 2};
-      for (int y = v * n; y < v1; ++y) {
-        for (int x = u * n; x < u1; ++x) {
-          const Rgb pixel = colors(x, y);
-          for (std::size_t c = 0; c < 3; ++c) sum[c] += pixel[c];
-        }
-      }
-      for (int c = 0; c < 3; ++c) {
-        display(u, v, c) = static_cast<std::uint8_t>(sum[static_cast<std::size_t>(c)] / count);
-      }
+  auto display = Image<std::uint8_t>::uninitialized(cells_over(color.size(), n), 3);
+  parallel_pixels(context, display.size(), [&](int u, int v) {
+    const PixelRect block = cell_rect(u, v, n, color.size());
+    const int count = block.width() * block.height();
+    std::array<int, 3> sum{count / 2, count / 2, count / 2};
+    for_each_pixel(block, [&](int x, int y) {
+      const Rgb pixel = colors(x, y);
+      for (std::size_t c = 0; c < 3; ++c) sum[c] += pixel[c];
+    });
+    for (int c = 0; c < 3; ++c) {
+      display(u, v, c) = static_cast<std::uint8_t>(sum[static_cast<std::size_t>(c)] / count);
     }
   });
   return display;
-}
-
-Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  const Context& context) {
-  return display_image(color, depth, white_percentile, std::max({color.width(), color.height(), 1}), context);
 }
 
 }  // namespace malus

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "malus/core/context.h"
@@ -30,9 +31,6 @@ int display_block(Size size, int longest_side);
 /// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, n = display_block(). Blocks of the
 /// last column and row may be smaller, so that the result covers the whole image.
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  int longest_side, const Context& context);
-/// The same in full size.
-Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
-                                  const Context& context);
+                                  const Context& context, int longest_side = std::numeric_limits<int>::max());
 
 }  // namespace malus

@@ -12,6 +12,7 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/surface/display_image_internal.h"
 
 namespace malus {
@@ -42,19 +43,17 @@ class Cuts {
       : first_row_(first_row), cuts_({surface.depth.width(), last_row - first_row}, 1, cut_right | cut_down) {
     const Image<float>& depth = surface.depth;
     const auto at = [&](int u, int v) { return depth.contains(u, v) ? depth(u, v) : -1.0f; };
-    for (int v = first_row; v < last_row; ++v) {
-      for (int u = 0; u < depth.width(); ++u) {
-        const float here = depth(u, v);
-        if (!is_depth(here)) continue;
-        const float right = at(u + 1, v), down = at(u, v + 1);
-        std::uint8_t cut = cut_right | cut_down;
-        if (is_depth(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
-          cut &= ~cut_right;
-        if (is_depth(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
-          cut &= ~cut_down;
-        cuts_(u, v - first_row) = cut;
-      }
-    }
+    for_each_pixel(PixelRect{0, first_row, depth.width(), last_row}, [&](int u, int v) {
+      const float here = depth(u, v);
+      if (!is_depth(here)) return;
+      const float right = at(u + 1, v), down = at(u, v + 1);
+      std::uint8_t cut = cut_right | cut_down;
+      if (is_depth(right) && !is_step(at(u - 1, v), here, right, at(u + 2, v), surface.camera.fx, options))
+        cut &= ~cut_right;
+      if (is_depth(down) && !is_step(at(u, v - 1), here, down, at(u, v + 2), surface.camera.fy, options))
+        cut &= ~cut_down;
+      cuts_(u, v - first_row) = cut;
+    });
   }
 
   std::uint8_t operator()(int u, int v) const { return cuts_(u, v - first_row_); }
@@ -93,9 +92,8 @@ class Grid {
                  [&](std::size_t begin, std::size_t end) {
                    const int first = static_cast<int>(begin), last = static_cast<int>(end);
                    const Cuts cuts(surface, options, pixel(first), pixel(last) + 1);
-                   for (int j = first; j < last; ++j) {
-                     for (int i = 0; i < cells_.width(); ++i) cells_(i, j) = triangles_of_cell(cuts, i, j);
-                   }
+                   for_each_pixel(PixelRect{0, first, cells_.width(), last},
+                                  [&](int i, int j) { cells_(i, j) = triangles_of_cell(cuts, i, j); });
                  });
   }
 
@@ -108,12 +106,6 @@ class Grid {
   int last_row(std::size_t strip) const { return std::min(first_row(strip) + strip_rows_, size_.height); }
   /// Bit c set: the triangle at corner c of this cell exists. 0 outside of the grid.
   std::uint8_t cell(int i, int j) const { return cells_.contains(i, j) ? cells_(i, j) : 0; }
-  std::size_t triangles_in_row(int j) const {
-    std::size_t count = 0;
-    if (j >= cells_.height()) return count;
-    for (int i = 0; i < cells_.width(); ++i) count += triangle_count[cells_(i, j)];
-    return count;
-  }
 
   Eigen::Vector3d point(int i, int j) const {
     const int u = pixel(i), v = pixel(j);
@@ -236,14 +228,12 @@ class StripMaker {
       // Local variables, because threads that write to neighboring addresses wait for each other.
       std::size_t used = 0, faces = 0;
       Eigen::AlignedBox3d box;
-      for (int j = grid_.first_row(k); j < grid_.last_row(k); ++j) {
-        faces += grid_.triangles_in_row(j);
-        for (int i = 0; i < grid_.size().width; ++i) {
-          if (!grid_.is_used(i, j)) continue;
-          ++used;
-          box.extend(world_point(i, j));
-        }
-      }
+      for_each_pixel(PixelRect{0, grid_.first_row(k), grid_.size().width, grid_.last_row(k)}, [&](int i, int j) {
+        faces += triangle_count[grid_.cell(i, j)];
+        if (!grid_.is_used(i, j)) return;
+        ++used;
+        box.extend(world_point(i, j));
+      });
       vertices[k] = used;
       triangles[k] = faces;
       boxes[k] = box;

@@ -109,7 +109,7 @@ TEST(Capture, color_is_the_mean_of_the_linear_images) {
     for (std::size_t i = 0; i < rgb.count(); ++i) {
       rgb[i] = static_cast<float>(0.1 * (1 + static_cast<double>(i % 3))) * (k < 2 ? 1.f : 2.f);
     }
-    return RawImage{rgb, 32, true, 1.0};
+    return RawImage{rgb, 32};
   };
   const PolarizedStack stack = capture_stack(input, {}, Context{});
   ASSERT_EQ(stack.color.channels(), 3);
@@ -218,7 +218,7 @@ TEST(Capture, a_white_level_that_is_missing_is_asked_for) {
     Image<float> numbers = aligned_scene()[k];
     for (float& value : numbers) value = std::round(4095 * std::min(value, 1.F));
     for (int u = 0; u < 20; ++u) numbers(u, 0) = 4095;
-    return RawImage{std::move(numbers), 16, false, 65535};
+    return RawImage{std::move(numbers), 16};
   };
   std::vector<std::string> warnings;
   Context context;

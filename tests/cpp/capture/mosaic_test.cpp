@@ -232,7 +232,7 @@ TEST(Mosaic, a_picture_in_color_is_no_mosaic) {
     input.load = [](std::size_t) {
       Image<float> rgb({96, 64}, 3, 0.4f);
       rgb(5, 7, 2) = 0.5f;
-      return RawImage{rgb, 32, true, 1.0};
+      return RawImage{rgb, 32};
     };
     expect_error(
         ErrorCode::input, [&] { capture_stack(input, {}, Context{}); }, "m.png: is a color image");

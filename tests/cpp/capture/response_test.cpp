@@ -24,7 +24,6 @@ RawImage raw_8bit(int channels, const std::vector<float>& dn) {
   raw.pixels = Image<float>({static_cast<int>(dn.size()) / channels, 1}, channels);
   std::copy(dn.begin(), dn.end(), raw.pixels.begin());
   raw.bits = 8;
-  raw.full_scale_dn = 255;
   return raw;
 }
 
@@ -87,7 +86,7 @@ TEST(Response, a_table_of_other_numbers_than_the_image_is_refused) {
     require_numbers_of_table(raw, levels_of(raw, spec, curve, 0.995, "raw.png"), curve, "raw.png");
   };
   const std::string of_12_bits = "0 0\n4095 1\n", of_shares = "0 0\n1 1\n";
-  RawImage image{Image<float>({2, 1}, 1, 0.5F), 32, true, 1};
+  RawImage image{Image<float>({2, 1}, 1, 0.5F), 32};
   const auto refused = [&](std::optional<double> white, const std::string& said) {
     expect_error(
         ErrorCode::input, [&] { require(image, of_12_bits, white); }, said);
@@ -153,7 +152,8 @@ TEST(Response, bad_tables_name_file_and_line) {
   expect_refused("0 0\n0 1\n", "increase");
   expect_refused("0 1\n1 0\n", "decrease");
   expect_refused("0 0\n1 0\n", "positive");
-  expect_refused("", "at least 2");
+  expect_refused("", "is empty");
+  expect_refused("# nothing\n", "at least 2");
   std::string long_table;
   for (int i = 0; i < 65537; ++i) long_table += std::to_string(i) + '\n';
   expect_refused(long_table, "65536");

@@ -102,7 +102,7 @@ inline CaptureInput input_of(std::vector<Image<float>> images, std::vector<doubl
   input.polarized.full_well_e = 20000;
   input.polarized.read_noise_e = 8;
   for (std::size_t k = 0; k < images.size(); ++k) input.names.push_back("image " + std::to_string(k) + ".tif");
-  input.load = [images = std::move(images)](std::size_t k) { return RawImage{images[k], 32, true, 1.0}; };
+  input.load = [images = std::move(images)](std::size_t k) { return RawImage{images[k], 32}; };
   return input;
 }
 

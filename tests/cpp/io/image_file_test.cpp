@@ -39,13 +39,13 @@ TEST(ImageFile, PngOfEightAndSixteenBitsRoundTrips) {
     const RawImage eight = read_image(folder / "8.png");
     expect_pixels(eight.pixels, bytes);
     EXPECT_EQ(eight.bits, 8);
-    EXPECT_EQ(eight.full_scale_dn, 255);
+    EXPECT_EQ(eight.full_scale_dn(), 255);
     const auto words = pattern<std::uint16_t>({37, 21}, channels);
     write_png16(folder / "16.png", words);
     const RawImage sixteen = read_image(folder / "16.png");
     expect_pixels(sixteen.pixels, words);
     EXPECT_EQ(sixteen.bits, 16);
-    EXPECT_EQ(sixteen.full_scale_dn, 65535);
+    EXPECT_EQ(sixteen.full_scale_dn(), 65535);
     EXPECT_EQ(read_image_size(folder / "16.png"), (Size{37, 21}));
   }
 }
@@ -216,7 +216,7 @@ TEST(ImageFile, SixteenBitTiffRoundTripsAndIsReadByOpenCv) {
     const RawImage read = read_image(folder / "16.tif");
     expect_pixels(read.pixels, words);
     EXPECT_EQ(read.bits, 16);
-    EXPECT_FALSE(read.is_float);
+    EXPECT_FALSE(read.is_float());
     const cv::Mat other = cv::imread((folder / "16.tif").string(), cv::IMREAD_UNCHANGED);
     ASSERT_EQ(other.type(), channels == 3 ? CV_16UC3 : CV_16UC1);
     EXPECT_EQ(other.ptr<std::uint16_t>(402)[700 * channels + (channels == 3 ? 2 : 0)], words(700, 402, 0));

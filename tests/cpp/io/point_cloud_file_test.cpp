@@ -41,14 +41,18 @@ TEST(PointCloudFile, WrittenPlyIsReadBackUnchanged) {
   EXPECT_EQ(back.triangles, mesh.triangles);
   PointCloud bare;
   bare.points = mesh.vertices.points;
-  write_ply(folder / "cloud.ply", bare);
+  write_ply(folder / "cloud.ply", TriangleMesh{bare, {}});
   const PointCloud cloud = read_point_cloud(folder / "cloud.ply");
   EXPECT_EQ(cloud.points, bare.points);
   EXPECT_TRUE(cloud.normals.empty());
   EXPECT_TRUE(cloud.colors.empty());
   bare.colors.resize(2);
   expect_error(
-      ErrorCode::input, [&] { write_ply(folder / "x.ply", bare); }, "4 points", "2 colors");
+      ErrorCode::input,
+      [&] {
+        write_ply(folder / "x.ply", TriangleMesh{bare, {}});
+      },
+      "4 points", "2 colors");
 }
 
 TEST(PointCloudFile, CoordinatesAreDoubleWhereFloatWouldLoseDetail) {
@@ -59,8 +63,8 @@ TEST(PointCloudFile, CoordinatesAreDoubleWhereFloatWouldLoseDetail) {
     near.points.push_back(point);
     far.points.push_back(point + Eigen::Vector3d(2600000.123, 1200000.456, 0));
   }
-  write_ply(folder / "near.ply", near);
-  write_ply(folder / "far.ply", far);
+  write_ply(folder / "near.ply", TriangleMesh{near, {}});
+  write_ply(folder / "far.ply", TriangleMesh{far, {}});
   EXPECT_NE(read_file(folder / "near.ply", "cloud").find("property float x"), std::string::npos);
   EXPECT_NE(read_file(folder / "far.ply", "cloud").find("property double x"), std::string::npos);
   EXPECT_EQ(read_point_cloud(folder / "far.ply").points, far.points);
@@ -218,14 +222,14 @@ TEST(PointCloudFile, CoordinatesThatAreNotFiniteAreCounted) {
   cloud.points.assign(10, Eigen::Vector3d(1, 2, 3));
   cloud.points[4].y() = std::numeric_limits<double>::quiet_NaN();
   cloud.points[7].x() = std::numeric_limits<double>::infinity();
-  write_ply(folder / "nan.ply", cloud);
+  write_ply(folder / "nan.ply", TriangleMesh{cloud, {}});
   expect_error(
       ErrorCode::input, [&] { read_point_cloud(folder / "nan.ply"); }, "nan.ply", "2 of 10", "number 4");
   expect_error(
       ErrorCode::input, [&] { read_point_cloud(folder.write("a.xyz", "1 2 3\n1 nan 3\n")); }, "1 of 2", "number 1");
   cloud.points.assign(1, Eigen::Vector3d(1, 2, 3));
   cloud.normals.assign(1, Eigen::Vector3f(0, std::nanf(""), 0));
-  write_ply(folder / "normal.ply", cloud);
+  write_ply(folder / "normal.ply", TriangleMesh{cloud, {}});
   EXPECT_EQ(read_point_cloud(folder / "normal.ply").normals[0], Eigen::Vector3f(0, 0, 0));
 }
 
@@ -261,7 +265,7 @@ TEST(PointCloudFile, BadHeadersAreInputErrors) {
       ErrorCode::input, [&] { read_mesh(folder.write("a.xyz", "1 2 3\n")); }, "not a PLY");
   PointCloud cloud;
   cloud.points.assign(3, Eigen::Vector3d(1, 2, 3));
-  write_ply(folder / "cloud.ply", cloud);
+  write_ply(folder / "cloud.ply", TriangleMesh{cloud, {}});
   expect_error(
       ErrorCode::input, [&] { read_mesh(folder / "cloud.ply"); }, "no faces");
 }
@@ -331,7 +335,7 @@ TEST(PointCloudFile, ReadsACloudOrAMesh) {
   EXPECT_EQ(read_cloud_or_mesh(text).vertices.points.size(), 3u);
   EXPECT_TRUE(read_cloud_or_mesh(text).triangles.empty());
   TriangleMesh mesh = read_cloud_or_mesh(text);
-  write_ply(folder / "cloud.ply", mesh.vertices);
+  write_ply(folder / "cloud.ply", TriangleMesh{mesh.vertices, {}});
   EXPECT_TRUE(read_cloud_or_mesh(folder / "cloud.ply").triangles.empty());
   mesh.triangles.push_back({0, 1, 2});
   write_ply(folder / "mesh.ply", mesh);

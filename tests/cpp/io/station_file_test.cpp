@@ -1,7 +1,6 @@
 #include <cmath>
 #include <numbers>
 
-#include "malus/io/angles_of_names_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/polarized_files_internal.h"

@@ -13,7 +13,7 @@
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
-#include "malus/surface/dem_file_internal.h"
+#include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"
 #include "surface/scenes.h"
@@ -48,13 +48,13 @@ TEST(DisplayImage, FitsWithinAMaximumSideByAveragingBlocks) {
   color(0, 0) = 0;
   const Image<float> depth(color.size(), 1, 1.0f);
   const Image<std::uint8_t> full = display_image(color, depth, 100, {}),
-                            small = display_image(color, depth, 100, 4, {});
+                            small = display_image(color, depth, 100, {}, 4);
   ASSERT_EQ(full(1, 1), 137);  // sRGB of one quarter
   EXPECT_EQ(small.size(), (Size{4, 2}));
   EXPECT_EQ(small(0, 0, 2), (3 * 137 + 2) / 4);
   EXPECT_EQ(small(3, 0), (255 + 137 + 1) / 2);  // the last block is one pixel wide and two high
   EXPECT_EQ(small(3, 1), 137);
-  EXPECT_EQ(display_image(color, depth, 100, 7, {}), full);
+  EXPECT_EQ(display_image(color, depth, 100, {}, 7), full);
 }
 
 /// A ball in front of a wall, with holes, large enough for many strips of different sizes.
@@ -222,7 +222,7 @@ TEST(Glb, AReducedTextureLiesOnThePixelGridUpToTheFarSides) {
   const TriangleMesh mesh = mesh_from_depth(surface, {}, {}, {});
   // Three pixels to a texel: the last of 27 columns is two pixels wide.
   const int texel_px = display_block(surface.camera.size, 27);
-  const Image<std::uint8_t> texture = display_image(Image<float>({80, 60}, 1, 0.5f), surface.depth, 99, 27, {});
+  const Image<std::uint8_t> texture = display_image(Image<float>({80, 60}, 1, 0.5f), surface.depth, 99, {}, 27);
   ASSERT_EQ(texel_px, 3);
   ASSERT_EQ(texture.size(), (Size{27, 20}));
   write_glb(folder / "ball.glb", mesh, {texture, surface.camera, surface.pose, texel_px}, length_unit("mm"), "ball");
