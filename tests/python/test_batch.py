@@ -139,6 +139,20 @@ def test_shards_together_equal_one_run(undisturbed: tuple[Path, dict[str, bytes]
     assert [marker["manifest"] for marker in one] == [marker["manifest"] for marker in other] and len(one) == 3
 
 
+def test_the_report_of_a_station_does_not_change_its_marker(tmp_path: Path) -> None:
+    """The page shows the times of the steps. A report that is missing, and other results, count."""
+    task = Task("a", "a.toml", str(tmp_path), "{}", 1, True)
+    task.workspace.mkdir(parents=True)
+    steps = {"fuse": {"checksum": "1"}, "report": {"checksum": "2"}}
+    found = []
+    for changed in ({}, {"report": {"checksum": "3"}}, {"fuse": {"checksum": "4"}}):
+        (task.workspace / "manifest.json").write_text(json.dumps({"steps": steps | changed, "times": {}}))
+        found.append(malus.batch._manifest(task))
+    (task.workspace / "manifest.json").write_text(json.dumps({"steps": {"fuse": steps["fuse"]}, "times": {}}))
+    found.append(malus.batch._manifest(task))
+    assert None not in found and found[0] == found[1] and len(set(found)) == 3
+
+
 def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
     def outcome(status: str) -> dict[str, object]:
         return {"station": "a", "status": status, "reason": "no light" * (status == "failed"), "exit_code": 3}

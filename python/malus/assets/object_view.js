@@ -22,13 +22,13 @@
   const paints = {
     stations: await attribute(data.stations, Uint16Array, 3, linear), sigma: await attribute(data.sigma, Uint16Array, 3, linear)
   };
-  // What each station sees is blue, all else light gray.
+  // What each station sees is blue, all else light gray. Made when it is first wanted: a large mesh of many stations would take much memory.
   const seen = await unpack.words(data.seen, Uint8Array), blue = [33, 102, 172].map(linear), gray = [205, 205, 205].map(linear);
-  data.seen_by.forEach((_, k) => {
+  function seenBy(station) {
     const values = new Float32Array(3 * count);
-    for (let i = 0; i < count; ++i) values.set(seen[k * count + i] ? blue : gray, 3 * i);
-    paints[`seen-${k}`] = new THREE.BufferAttribute(values, 3);
-  });
+    for (let i = 0; i < count; ++i) values.set(seen[station * count + i] ? blue : gray, 3 * i);
+    return new THREE.BufferAttribute(values, 3);
+  }
   if (data.reference) paints.reference = await attribute(data.reference, Uint16Array, 3, linear);
   const textures = {color: texture};
   if (data.albedo) textures.albedo = colorTexture(await unpack.picture(data.albedo));
@@ -56,6 +56,7 @@
   }
   function paint() {
     const chosen = control('paint').value;
+    if (chosen.startsWith('seen-')) paints[chosen] ??= seenBy(Number(chosen.slice(5)));
     material.map = textures[chosen] ?? null;
     material.normalMap = control('fine').checked ? normalMap : null;
     material.vertexColors = chosen in paints;
