@@ -365,13 +365,20 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
 /// 3.4e38: the largest on the object, if several pixels have it and it lies far behind the other depths.
 std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& mask) {
   constexpr double far = 3;
-  std::vector<float> depths;
+  const auto is_known = [&](std::size_t i) { return mask[i] != 0 && std::isfinite(depth[i]) && depth[i] > 0; };
+  float largest = 0;
+  std::size_t pixels = 0;
   for (std::size_t i = 0; i < depth.count(); ++i) {
-    if (mask[i] != 0 && std::isfinite(depth[i]) && depth[i] > 0) depths.push_back(depth[i]);
+    if (!is_known(i) || depth[i] < largest) continue;
+    pixels = depth[i] > largest ? 1 : pixels + 1;
+    largest = depth[i];
   }
-  if (depths.empty()) return std::nullopt;
-  const float largest = *std::ranges::max_element(depths);
-  if (std::erase(depths, largest) < 2 || depths.empty() || largest < far * median_in_place(depths)) return std::nullopt;
+  if (pixels < 2) return std::nullopt;  // as for most maps, whose depths then need not be copied
+  std::vector<float> others;
+  for (std::size_t i = 0; i < depth.count(); ++i) {
+    if (is_known(i) && depth[i] < largest) others.push_back(depth[i]);
+  }
+  if (others.empty() || largest < far * median_in_place(others)) return std::nullopt;
   return largest;
 }
 
