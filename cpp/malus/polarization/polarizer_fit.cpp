@@ -26,7 +26,7 @@ constexpr double wanted_cells = 5000;
 constexpr int largest_cell_px = 16;
 /// Cells of small objects have this size, although they become fewer: the mean of fewer pixels still shows which images
 /// registration has smoothed, and a fit of angles takes the noise of the others for polarization.
-constexpr int smallest_cell_px = 4;
+constexpr int least_cell_px = 4;
 /// With fewer cells, as on a wire or under a mask with many small holes, smaller cells are tried.
 constexpr std::size_t fewest_cells = 500;
 /// Ratio to the typical residual at which a pixel has half its weight.
@@ -81,7 +81,7 @@ class Cells {
         const Context& context)
       : count_(static_cast<Eigen::Index>(images.size())), parts_(parts_per_side * parts_per_side) {
     const auto object = static_cast<double>(count_of_set(mask));
-    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), smallest_cell_px, largest_cell_px);
+    side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), least_cell_px, largest_cell_px);
     while (fill(images, noise, mask, saturated, context) < fewest_cells && side_ > 1) side_ /= 2;
   }
 

@@ -382,20 +382,6 @@ std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& 
   return largest;
 }
 
-/// The depth map with NaN for that number.
-Image<float> without_number(Image<float> depth, float number, const Mask& mask, const Context& context) {
-  std::size_t pixels = 0;
-  for (std::size_t i = 0; i < depth.count(); ++i) {
-    if (depth[i] != number) continue;
-    depth[i] = no_value;
-    pixels += mask[i] != 0;
-  }
-  context.log(LogLevel::warning, "prior depth map: " + std::to_string(pixels) +
-                                     " of the object's pixels have the depth " + with_digits(number, 6) +
-                                     ", far behind all others: taken as pixels without a depth; write NaN there");
-  return depth;
-}
-
 /// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
 /// over an area. Holes must not be filled yet: their standard deviation is no noise.
 void set_noise(DepthPrior& prior) {
@@ -558,6 +544,23 @@ void require_depth_map(const Image<float>& depth, Size size) {
     throw input_error("prior depth map has " + std::to_string(depth.channels()) + " channels, expected 1");
 }
 
+std::optional<Image<float>> without_number_for_no_depth(const Image<float>& depth, const Mask& mask,
+                                                        const Context& context) {
+  const std::optional<float> number = number_for_no_depth(depth, mask);
+  if (!number) return std::nullopt;
+  Image<float> rest = depth;
+  std::size_t pixels = 0;
+  for (std::size_t i = 0; i < rest.count(); ++i) {
+    if (rest[i] != *number) continue;
+    rest[i] = no_value;
+    pixels += mask[i] != 0;
+  }
+  context.log(LogLevel::warning, "prior depth map: " + std::to_string(pixels) +
+                                     " of the object's pixels have the depth " + with_digits(*number, 6) +
+                                     ", far behind all others: taken as pixels without a depth; write NaN there");
+  return rest;
+}
+
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);
@@ -565,8 +568,8 @@ DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const
   const auto of = [&](const Image<float>& known) {
     return prior_of_raster(known, "prior depth map", Deviation::noise, camera, pose, mask, options, context);
   };
-  const std::optional<float> number = number_for_no_depth(depth, mask);
-  return number ? of(without_number(depth, *number, mask, context)) : of(depth);
+  const std::optional<Image<float>> without_number = without_number_for_no_depth(depth, mask, context);
+  return of(without_number ? *without_number : depth);
 }
 
 void require_sigma(const Shape& shape, const PriorOptions& options) {

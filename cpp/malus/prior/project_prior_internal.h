@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
@@ -35,10 +36,15 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
 /// Throws an input error unless the raster has this size and one channel.
 void require_depth_map(const Image<float>& depth, Size size);
 
+/// The depth map with NaN for the large number that a program wrote for "no depth", with a warning that names it;
+/// nothing if no number lies far behind all other depths.
+std::optional<Image<float>> without_number_for_no_depth(const Image<float>& depth, const Mask& mask,
+                                                        const Context& context);
+
 /// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive depths
 /// are taken unchanged, with `sigma` or `raster_sigma_gsd`; other object pixels are filled by a spline through their
 /// surroundings, with a sigma that grows by `hole_slope` with the distance from the nearest pixel that has a depth. A
-/// large number that a program wrote for "no depth" is told by lying far behind all other depths; a warning names it.
+/// large number that stands for "no depth" is none.
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context);
 

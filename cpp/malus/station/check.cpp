@@ -124,7 +124,10 @@ struct PriorCheck {
   }
   std::string operator()(const Image<float>& depth) const {
     require_depth_map(depth, station.file.camera->lens.pinhole().size);
-    return "depth map, " + coverage_by(depth, "depth map");
+    Context to_plan = context;
+    to_plan.on_log = [this](LogLevel, const std::string& message) { plan.warnings.push_back(message); };
+    const std::optional<Image<float>> without_number = without_number_for_no_depth(depth, object, to_plan);
+    return "depth map, " + coverage_by(without_number ? *without_number : depth, "depth map");
   }
   std::string operator()(const SweptDepth&) const { return "depth map"; }
 
