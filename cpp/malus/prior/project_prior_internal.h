@@ -1,6 +1,7 @@
 #pragma once
 
 #include <optional>
+
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/geometry.h"
