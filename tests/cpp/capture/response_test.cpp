@@ -41,7 +41,8 @@ TEST(Response, srgb_is_the_standard_curve) {
 }
 
 TEST(Response, gamma_is_a_power) {
-  EXPECT_NEAR(response_curve("gamma:2.2", "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
+  for (const std::string response : {"gamma:2.2", "gamma: 2.2"})
+    EXPECT_NEAR(response_curve(response, "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
 }
 
 TEST(Response, slope_is_the_derivative) {
