@@ -124,11 +124,11 @@ ResponseCurve response_curve(const std::string& response, const std::string& whe
   if (response == "linear") return {};
   if (response == "srgb") return {.kind = ResponseCurve::Kind::srgb, .encoded = {}, .linear = {}};
   if (response.starts_with("gamma:")) {
-    const auto exponent = number_of<double>(std::string_view(response).substr(6));
-    if (!exponent || !(*exponent >= 0.1 && *exponent <= 10)) {
+    const auto exponent = numbers_of(std::string_view(response).substr(6));
+    if (!exponent || exponent->size() != 1 || exponent->front() < 0.1 || exponent->front() > 10) {
       throw input_error(where + " = \"" + response + "\", expected \"gamma:X\" with X from 0.1 to 10");
     }
-    return {.kind = ResponseCurve::Kind::gamma, .exponent = *exponent, .encoded = {}, .linear = {}};
+    return {.kind = ResponseCurve::Kind::gamma, .exponent = exponent->front(), .encoded = {}, .linear = {}};
   }
   if (!std::filesystem::is_regular_file(response)) {
     throw input_error(where + " = \"" + response +

@@ -26,6 +26,9 @@ Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapM
     const LensCamera& camera = model.cameras.at(image.camera_id);
     require_in_image(mark, camera.size, where);
     const Eigen::Vector2d ideal = camera.undistort({mark.x, mark.y});
+    if (!ideal.allFinite())
+      throw input_error(where + ": the lens of " + mark.image +
+                        " sends no ray to its mark: so far out its distortion bends back");
     const Eigen::Vector3d ray =
         (image.pose.rotation.transpose() * Eigen::Vector3d(ideal.x(), ideal.y(), 1)).normalized();
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();

@@ -198,9 +198,13 @@ Resection resect(const std::vector<MarkedPoint>& points, const LensCamera& lens,
     throw input_error(where + ": " + std::to_string(points.size()) +
                       " points are marked in the polarized image without check = true, expected at least 4 to find the "
                       "camera's position");
-  for (const MarkedPoint& point : points)
+  for (const MarkedPoint& point : points) {
     if (!point.xyz.allFinite() || !point.pixel.allFinite())
       throw input_error(where + ": point " + point.name + " has a coordinate or a mark that is not a finite number");
+    if (!lens.undistort(point.pixel).allFinite())
+      throw input_error(where + ": the lens sends no ray to the mark of point " + point.name +
+                        ": so far out its distortion bends back");
+  }
   const Marked marked = marked_points(points, lens);
   const Eigen::Vector3d extent = extents(marked);
   if (!(extent[1] > least_width * extent[0]))

@@ -21,7 +21,7 @@ std::vector<Eigen::Vector2d> epipolar_line(const LensCamera& camera, const Pose&
     if (!(at.x() >= -0.5 && at.y() >= -0.5 && at.x() <= other.size.width - 0.5 && at.y() <= other.size.height - 0.5))
       continue;
     // Far outside the image a lens polynomial may fold back into it.
-    if ((other.undistort(at) - ideal).norm() > same_direction * (1 + ideal.norm())) continue;
+    if (!((other.undistort(at) - ideal).norm() < same_direction * (1 + ideal.norm()))) continue;
     line.push_back(at);
   }
   return line;

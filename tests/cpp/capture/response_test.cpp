@@ -41,7 +41,8 @@ TEST(Response, srgb_is_the_standard_curve) {
 }
 
 TEST(Response, gamma_is_a_power) {
-  EXPECT_NEAR(response_curve("gamma:2.2", "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
+  for (const std::string response : {"gamma:2.2", "gamma: 2.2"})
+    EXPECT_NEAR(response_curve(response, "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
 }
 
 TEST(Response, slope_is_the_derivative) {
@@ -104,7 +105,7 @@ TEST(Response, a_table_of_other_numbers_than_the_image_is_refused) {
 }
 
 TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
-  RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16, false, 65535};
+  RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16};
   raw.pixels(0, 0) = 1200;
   const auto doubt = [&](const PolarizedSpec& spec) {
     return doubt_of_white_level(raw, levels_of(raw, spec, {}, 0.995, "raw.tif"), "raw.tif");

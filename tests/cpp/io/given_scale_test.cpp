@@ -2,6 +2,7 @@
 
 #include "malus/core/error.h"
 #include "malus/io/given_scale_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -80,6 +81,16 @@ TEST(GivenScale, WrongMarksAreNamed) {
   ScaleBar outside = pair.bar({0, 0, 5}, {1, 0, 5}, 1);
   outside.b[1].x = 250;
   EXPECT_THROW(given_scale({outside}, &pair.model, "s"), Error);
+}
+
+TEST(GivenScale, MarksWhereTheLensBendsBackAreRefused) {
+  Pair pair;
+  pair.model.cameras[1] = {LensModel::simple_radial, {200, 200}, {100, 99.5, 99.5, -0.3}};
+  ScaleBar corner = pair.bar({0, 0, 5}, {1, 0, 5}, 1);
+  EXPECT_NO_THROW(given_scale({corner}, &pair.model, "s"));
+  corner.a[0].x = corner.a[0].y = 0;
+  expect_error(
+      ErrorCode::input, [&] { given_scale({corner}, &pair.model, "s"); }, "left.jpg", "sends no ray");
 }
 
 }  // namespace

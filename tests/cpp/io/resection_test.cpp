@@ -134,6 +134,15 @@ TEST(Resection, NaNMarksAreRefused) {
   expect_refused(points, site.lens, "point D");
 }
 
+TEST(Resection, MarksWhereTheLensBendsBackAreRefused) {
+  Site site;
+  site.lens = {LensModel::simple_radial, {2400, 1600}, {1000, 1200, 800, -0.3}};
+  std::vector<MarkedPoint> points = site.points();
+  EXPECT_LT(resect(points, site.lens, "s").rms_px, 1e-2);
+  points[3].pixel.setZero();
+  expect_refused(points, site.lens, "sends no ray to the mark of point D");
+}
+
 TEST(Resection, PointsThatDoNotDetermineAPoseAreRefused) {
   const Site site;
   std::vector<MarkedPoint> three = site.points();

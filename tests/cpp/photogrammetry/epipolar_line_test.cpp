@@ -47,6 +47,14 @@ TEST(EpipolarLine, HasNoPlacesOutsideTheImageThatTheLensPolynomialFoldsBack) {
   }
 }
 
+TEST(EpipolarLine, HasNoPlacesToWhichTheLensSendsNoRay) {
+  // r − 0.3 r³ bends back at 0.7, which is inside of the image.
+  const LensCamera bent{LensModel::simple_radial, {4000, 3000}, {1000, 2000, 1500, -0.3}};
+  const auto line = epipolar_line(bent, beside(0, 0), {2100, 1550}, bent, beside(30, 0.15));
+  ASSERT_GT(line.size(), 20U);
+  for (const Eigen::Vector2d& place : line) EXPECT_TRUE(bent.undistort(place).allFinite()) << place.transpose();
+}
+
 TEST(EpipolarLine, DoesNotExistForCamerasAtOnePlace) {
   EXPECT_TRUE(epipolar_line(lens(), beside(0, 0), {100, 100}, lens(), beside(0, 0.1)).empty());
 }
