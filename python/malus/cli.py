@@ -667,7 +667,7 @@ def _figures_of_object(folder: Path) -> dict[str, Any]:
     return quality
 
 
-def _doubts_of_object(quality: dict[str, Any], before: str = "") -> list[str]:
+def _doubts_of_object(quality: Mapping[str, Any], before: str = "") -> list[str]:
     """Stations that are not fully trusted, and all warnings, each with the word `before` it."""
     return [*doubted_stations(quality), *(before + warning for warning in quality["warnings"])]
 

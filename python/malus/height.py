@@ -81,8 +81,9 @@ def solve(
 
     camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
     z forward, towards the camera). Without `light` it is estimated with prior_normals (H×W×3), and without both as by
-    `light_from_polarization`, which turns a hollow object upside down. prior_depth: H×W, z of the coarse surface in the camera, which is needed then; NaN = none.
-    The solution starts from it, and with the option height.boundary = "prior" keeps to it along the outline. `status` says how the solver ended.
+    `light_from_polarization`, which turns a hollow object upside down. prior_depth (only with `camera`): H×W, z of the coarse
+    surface in the camera, NaN = none. The solution starts from it, and with the option height.boundary = "prior" keeps to it
+    along the outline. `status` says how the solver ended.
     """
     vector = None
     if light is not None:

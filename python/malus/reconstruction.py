@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus import _core, encoding, exif, photogrammetry, raw, scans
-from malus._files import require_utf8
+from malus._files import require_utf8, sha256_of
 from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
@@ -149,9 +149,11 @@ def unpolarized_scene(
 
 
 def _described(station: Station) -> dict[str, Any]:
-    """The station's description, whose `path` names it in messages even if it is made of arrays."""
+    """The station's description, whose `path` names it in messages even if it is made of arrays, and which has the checksum of
+    labels that are an array.
+    """
     description = station.describe()
-    return {"path": f"station {description['name']}", **description}
+    return {"path": f"station {description['name']}", "labels_sha256": station._labels_sha256, **description}
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
@@ -274,7 +276,7 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
         ],
         "noise": [description[name] for name in ("frames_averaged", "full_well_e", "read_noise_e")],
         "optics": [description[name] for name in ("refractive_index", "reflection", "light")],
-        "labels": None if label is None else hashlib.sha256(Path(label).read_bytes()).hexdigest(),
+        "labels": description["labels_sha256"] if label is None else sha256_of(Path(label)),
         "options": {name: value for name, value in settings.items() if name not in ("assess", "surface")},
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -146,6 +147,7 @@ class Station:
     _file: str | None = None
     _photos_of: str | None = None
     _curves: list[tuple[int, int]] | None = None
+    _labels_sha256: str | None = None
 
     def __init__(
         self,
@@ -206,6 +208,7 @@ class Station:
                 "prior_points, prior_mesh, prior_depth, prior, photos: more than one is given, expected one of them"
             )
         labels = None if isinstance(reflection, str | os.PathLike) else _labels(reflection, optics, shape)
+        self._labels_sha256 = None if labels is None else hashlib.sha256(labels.tobytes()).hexdigest()
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
             "station": {"name": name, "unit": unit},
@@ -257,6 +260,7 @@ class Station:
         """
         station = Station.__new__(Station)
         station._file, station._photos_of = self._file, self._photos_of
+        station._labels_sha256 = self._labels_sha256
         station._curves = [(int(x), int(y)) for x, y in pixels]
         station._core = self._core.with_curves_of(station._curves)
         return station

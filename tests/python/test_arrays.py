@@ -230,6 +230,13 @@ def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarr
             lambda m, camera: m.prior.project_mesh(np.eye(3), [[0, 1, 3]], camera),
             "triangles has indices from 0 to 3, expected 0 to 2",
         ),
+        (
+            lambda m, camera: m.surface.dem_from_mesh(
+                m.surface.Mesh(np.eye(3), np.eye(3), np.empty((0, 3), np.uint8), np.array([[0, 1, 3]])),
+                m.fusion.FusedSurface(np.ones((40, 50)), np.ones((40, 50, 3)), np.ones((40, 50)), camera),
+            ),
+            "triangles has indices from 0 to 3, expected 0 to 2",
+        ),
         (lambda m, camera: m.polarization.diffuse_degree(["x"]), "zenith_rad has type"),
         (lambda m, camera: m.polarization.specular_zenith([[0.1], [0.1, 0.2]]), "degree has parts of different"),
         (lambda m, camera: m.capture.linearize([["x"]]), "image has type"),

@@ -266,7 +266,8 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
     zeros = {name: np.zeros(SIZE, np.float32) for name in ("unpolarized", "degree", "phase_rad")}
 
     def inputs(maps: Any = zeros, options: malus.Options | None = None, **changes: Any) -> dict[str, Any]:
-        return reconstruction._fused_of(in_memory(pictures, **changes).describe(), maps, options or malus.Options())
+        description = reconstruction._described(in_memory(pictures, **changes))
+        return reconstruction._fused_of(description, maps, options or malus.Options())
 
     before = inputs()
     assert before == inputs(name="another", options=malus.Options(assess={"polarization_height": False}))
@@ -276,6 +277,8 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
         inputs(read_noise_e=3.0),
         inputs(refractive_index=1.4),
         inputs(reflection="specular"),
+        inputs(reflection=np.ones(SIZE, np.uint8)),
+        inputs(reflection=np.zeros(SIZE, np.uint8)),
         inputs(optics={"light": [0.3, 0.2, -1.0]}),
         inputs(maps={**zeros, "degree": np.ones(SIZE, np.float32)}),
         inputs(options=malus.Options(refine={"prior_weight": 2.0})),
