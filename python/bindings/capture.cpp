@@ -27,7 +27,7 @@ py::object register_arrays(const std::vector<Image<float>>& images, const Option
 
 void bind_capture(py::module_& module) {
   module.def("linearize", [](Image<float>& image, const std::string& response, double black, double white) {
-    RawImage raw{std::move(image), 32, true, white};
+    RawImage raw{std::move(image), 32};
     PolarizedSpec spec;
     spec.black_level = black;
     spec.white_level = white;

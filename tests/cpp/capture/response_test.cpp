@@ -104,7 +104,7 @@ TEST(Response, a_table_of_other_numbers_than_the_image_is_refused) {
 }
 
 TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
-  RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16, false, 65535};
+  RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16};
   raw.pixels(0, 0) = 1200;
   const auto doubt = [&](const PolarizedSpec& spec) {
     return doubt_of_white_level(raw, levels_of(raw, spec, {}, 0.995, "raw.tif"), "raw.tif");
