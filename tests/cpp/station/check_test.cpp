@@ -78,6 +78,7 @@ TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
 TEST(CheckStation, ReadsImagesInMemoryAsItReadsFiles) {
   Station station = scaled_station();
   station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  station.file.prior_sigma = 1;
   EXPECT_TRUE(check_station(station, {}, {}).warnings.empty());
   std::fill_n(station.images[0].row(0), 120, 1.0F);
   const Plan clipped = check_station(station, {}, {});
@@ -90,11 +91,12 @@ TEST(CheckStation, ReadsImagesInMemoryAsItReadsFiles) {
 
 TEST(CheckStation, ReadsLabelsInMemory) {
   Station station = scaled_station();
-  station.prior = TriangleMesh{cloud_of(station), {{0, 1, 2}}};
+  station.prior = TriangleMesh{cloud_of(station), {{0, 39, 1199}, {0, 1199, 1160}}};
   station.labels = Mask({40, 30}, 1, std::uint8_t{2});
   station.file.optics.reflection = ReflectionChoice::labels;
   const Plan plan = check_station(station, {}, {});
-  EXPECT_NE(std::ranges::find(plan.does, std::string("prior: mesh of 1 triangles")), plan.does.end());
+  const std::string expected = "prior: mesh of 2 triangles, covers 100 % of the object";
+  EXPECT_NE(std::ranges::find(plan.does, expected), plan.does.end());
   (*station.labels)(3, 4) = 7;
   expect_error(
       ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 7");
