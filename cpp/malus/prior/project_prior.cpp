@@ -551,6 +551,13 @@ void require_depth_map(const Image<float>& depth, Size size) {
     throw input_error("prior depth map has " + std::to_string(depth.channels()) + " channels, expected 1");
 }
 
+Image<float> without_number_for_no_depth(Image<float> depth, const Mask& mask, const Context& context) {
+  require_size(mask, depth.size(), "mask");
+  const std::optional<float> number = number_for_no_depth(depth, mask);
+  if (!number) return depth;
+  return without_number(std::move(depth), *number, mask, context);
+}
+
 DepthPrior project_prior(const Image<float>& depth, const Pinhole& camera, const Pose& pose, const Mask& mask,
                          const PriorOptions& options, const Context& context) {
   validate(camera, pose, mask, options);

@@ -35,6 +35,10 @@ DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const 
 /// Throws an input error unless the raster has this size and one channel.
 void require_depth_map(const Image<float>& depth, Size size);
 
+/// The depth map with NaN where it has the large number that a program wrote for "no depth", if there is one: the next
+/// function says how it is told. Logs a warning that names it. `mask` has the depth map's size.
+Image<float> without_number_for_no_depth(Image<float> depth, const Mask& mask, const Context& context);
+
 /// Coarse surface given as a depth map of the station (z, unit of the station, camera's size): finite positive depths
 /// are taken unchanged, with `sigma` or `raster_sigma_gsd`; other object pixels are filled by a spline through their
 /// surroundings, with a sigma that grows by `hole_slope` with the distance from the nearest pixel that has a depth. A

@@ -124,7 +124,9 @@ struct PriorCheck {
   }
   std::string operator()(const Image<float>& depth) const {
     require_depth_map(depth, station.file.camera->lens.pinhole().size);
-    return "depth map, " + coverage_by(depth, "depth map");
+    Context with_warnings = context;
+    with_warnings.on_log = [this](LogLevel, const std::string& message) { plan.warnings.push_back(message); };
+    return "depth map, " + coverage_by(without_number_for_no_depth(depth, object, with_warnings), "depth map");
   }
   std::string operator()(const SweptDepth&) const { return "depth map"; }
 

@@ -188,6 +188,19 @@ TEST(CheckStation, SaysWhatEveryKindOfPriorCovers) {
   }
 }
 
+/// The number was counted as a depth: the map covered all of the object, which was 200 m wide.
+TEST(CheckStation, TakesALargeNumberForNoDepthAsARunWould) {
+  Station station = scaled_station();
+  Image<float> depth({40, 30}, 1, 1e6F);
+  for (int v = 0; v < 30; ++v) std::fill_n(depth.row(v), 20, 100.0F);
+  station.prior = depth;
+  const Plan plan = check_station(station, {}, {});
+  ASSERT_EQ(plan.warnings.size(), 1U);
+  expect_contains(plan.warnings[0], "taken as pixels without a depth");
+  const std::string expected = "prior: depth map, covers 50 % of the object";
+  EXPECT_NE(std::ranges::find(plan.does, expected), plan.does.end());
+}
+
 TEST(CheckStation, AsksForTheSigmaOfAShapeAsARunWould) {
   Station station = scaled_station();
   station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
