@@ -9,7 +9,6 @@
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/fusion/refine_internal.h"
-#include "reflections.h"
 #include "words.h"
 
 namespace malus::python {

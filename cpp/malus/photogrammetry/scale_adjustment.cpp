@@ -57,9 +57,9 @@ void check_marks(std::span<const MarkedView> views, std::span<const PointMark> m
       throw input_error(name + ": a mark's position or standard deviation is not a positive number");
     }
     if (!views[mark.view].camera.undistort(mark.pixel).allFinite()) {
-      throw input_error(name + ": the lens of photo " + std::to_string(mark.view) +
-                        " sends no ray to the mark, so far out its distortion bends back: expected marks nearer to the "
-                        "middle, or a lens that is calibrated up to the corners");
+      throw input_error(name + ": the mark in " + views[mark.view].name +
+                        " lies so far out that by its distortion the lens sends no ray there; expected marks nearer to "
+                        "the middle, or a lens that is calibrated up to the corners");
     }
   }
 }

@@ -112,6 +112,13 @@ TEST(AdjustScale, RefusesInputThatDoesNotDetermineTheScale) {
   distances[0].a.resize(1);
   expect_error(ErrorCode::input, [&] { adjust_scale(views, distances, {}); });
 
+  auto bent = views;
+  bent[2].camera = {LensModel::simple_radial, {4000, 3000}, {1000, 2000, 1500, -0.3}};
+  distances = distances_of(bent, 0.2, random);
+  distances[0].a[2].pixel = {0, 0};
+  expect_error(
+      ErrorCode::input, [&] { adjust_scale(bent, distances, {}); }, "[[scale]] 1", "the mark in photo_2");
+
   const auto together = photos_around_origin(4, 170, 0.1);
   const auto seen_alike = distances_of(together, 0.2, random);
   expect_error(

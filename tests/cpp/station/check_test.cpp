@@ -78,6 +78,7 @@ TEST(CheckStation, RefusesStationsInMemoryThatLackImagesOrHaveAnotherMask) {
 TEST(CheckStation, ReadsImagesInMemoryAsItReadsFiles) {
   Station station = scaled_station();
   station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  station.file.prior_sigma = 1;
   EXPECT_TRUE(check_station(station, {}, {}).warnings.empty());
   std::fill_n(station.images[0].row(0), 120, 1.0F);
   const Plan clipped = check_station(station, {}, {});
@@ -90,11 +91,12 @@ TEST(CheckStation, ReadsImagesInMemoryAsItReadsFiles) {
 
 TEST(CheckStation, ReadsLabelsInMemory) {
   Station station = scaled_station();
-  station.prior = TriangleMesh{cloud_of(station), {{0, 1, 2}}};
+  station.prior = TriangleMesh{cloud_of(station), {{0, 39, 1199}, {0, 1199, 1160}}};
   station.labels = Mask({40, 30}, 1, std::uint8_t{2});
   station.file.optics.reflection = ReflectionChoice::labels;
   const Plan plan = check_station(station, {}, {});
-  EXPECT_NE(std::ranges::find(plan.does, std::string("prior: mesh of 1 triangles")), plan.does.end());
+  const std::string expected = "prior: mesh of 2 triangles, covers 100 % of the object";
+  EXPECT_NE(std::ranges::find(plan.does, expected), plan.does.end());
   (*station.labels)(3, 4) = 7;
   expect_error(
       ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 7");
@@ -184,6 +186,19 @@ TEST(CheckStation, SaysWhatEveryKindOfPriorCovers) {
     expect_error(
         ErrorCode::data, [&] { plan_of(station); }, "0 object pixels have a depth, expected at least 30");
   }
+}
+
+/// The number was counted as a depth: the map covered all of the object, which was 200 m wide.
+TEST(CheckStation, TakesALargeNumberForNoDepthAsARunWould) {
+  Station station = scaled_station();
+  Image<float> depth({40, 30}, 1, 1e6F);
+  for (int v = 0; v < 30; ++v) std::fill_n(depth.row(v), 20, 100.0F);
+  station.prior = depth;
+  const Plan plan = check_station(station, {}, {});
+  ASSERT_EQ(plan.warnings.size(), 1U);
+  expect_contains(plan.warnings[0], "taken as pixels without a depth");
+  const std::string expected = "prior: depth map, covers 50 % of the object";
+  EXPECT_NE(std::ranges::find(plan.does, expected), plan.does.end());
 }
 
 TEST(CheckStation, AsksForTheSigmaOfAShapeAsARunWould) {
