@@ -57,7 +57,7 @@ def dem_from_mesh(
 ) -> Dem:
     """Elevation model of a surface's mesh above the plane fitted to it; pixel size: options.surface.dem_pixel."""
     vertices = as_rows(mesh.vertices, "vertices")
-    triangles = as_triangles(mesh.triangles, len(vertices))
+    triangles = as_triangles(mesh.triangles, "triangles", len(vertices))
     return Dem(**_core.dem_from_mesh(vertices, triangles, surface, (options or Options()).to_json(), threads))
 
 

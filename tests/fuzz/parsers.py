@@ -53,7 +53,9 @@ TARGETS: dict[str, Callable[[bytes], object]] = {
     # The input is the file without its checksums, which no fuzzer could keep right.
     "e57": lambda data: scans.read_scan(_written("cloud.e57", as_file(data)), "mm"),
     "table": lambda data: station_import._rows_of(_written("table.csv", data)),
-    "sidecar": lambda data: (_written("image.json", data), station_import._shots_of_sidecars(FOLDER)),
+    "sidecar": lambda data: station_import._shots_of_sidecars(
+        _written("image.json", data).parent, [FOLDER / "image.png"]
+    ),
     "metashape": lambda data: metashape.read_metashape(_written("cameras.xml", data)),
     "object": lambda data: Object.load(_written("object.toml", data)),
     "document": lambda data: _edited(StationDocument.read(_written("edited.toml", data))),
