@@ -444,7 +444,7 @@ def test_known_distances_of_a_given_prior_are_reported(tiny_station_source: Path
         for distance, check in ((10, "false"), (10.01, "true"))
     )
     station.write_text(station.read_text() + bars)
-    outcome = run_malus("run", station, "-o", tmp_path / "work", "--fusion", "grid", "--threads", "2")
+    outcome = malus_here("run", station, "-o", tmp_path / "work", "--fusion", "grid", "--threads", "2")
     assert outcome.code == 0, outcome.err
     scale = malus.Workspace(tmp_path / "work").quality["prior_scale"]
     assert scale["scale"] == pytest.approx(1) and scale["distances"][0]["residual"] == 0
@@ -526,7 +526,8 @@ def test_check_leaves_the_picture_of_a_cloud_that_misses_the_object_too(small_st
 
 
 def test_check_warns_of_too_little_memory(small_station: Path, tmp_path: Path) -> None:
-    outcome = malus_here("check", small_station, "--json", "--threads", "100000")
+    # As a program of its own: the threads that it starts would stay in this process.
+    outcome = run_malus("check", small_station, "--json", "--threads", "100000")
     assert outcome.code == 0, outcome.err
     assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])
 

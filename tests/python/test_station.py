@@ -388,21 +388,25 @@ def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
         malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
 
 
-def test_types_of_tables_have_the_keys_of_the_station_file() -> None:
-    """Keys of docs/station-file.md, which are those of the parser; those of files and photos are for station files only."""
+def test_types_of_tables_have_the_keys_of_the_station_file(pictures: list[np.ndarray]) -> None:
+    """Keys of docs/station-file.md, which are those of the parser; those that name image files are for station files only."""
     text = (Path(__file__).parents[2] / "docs/station-file.md").read_text(encoding="utf-8")
-    types: dict[str, tuple[Any, set[str]]] = {
-        "[polarized]": (tables.PolarizedValues, {"images", "angles_deg", "angle_pattern", "mask"}),
-        "[optics]": (tables.OpticsValues, set()),
-        "[prior]": (tables.PriorValues, set()),
-        "[photos]": (tables.PhotosValues, set()),
-        "[[scale]]": (tables.ScaleValues, set()),
-        "[[control]]": (tables.ControlValues, set()),
-        "[[patch]]": (tables.PatchValues, set()),
-        "[[profile]]": (tables.ProfileValues, set()),
+    of_files = {"images", "angles_deg", "angle_pattern", "mask"}
+    expected = {
+        "[object]": set(in_memory(pictures).describe()["object"]),
+        "[polarized]": set(tables.PolarizedValues.__annotations__) | of_files,
+        "[optics]": set(tables.OpticsValues.__annotations__),
+        "[prior]": set(tables.PriorValues.__annotations__),
+        "[photos]": set(tables.PhotosValues.__annotations__),
+        "[[scale]]": set(tables.ScaleValues.__annotations__),
+        "[[control]]": set(tables.ControlValues.__annotations__),
+        "[[patch]]": set(tables.PatchValues.__annotations__),
+        "[[profile]]": set(tables.ProfileValues.__annotations__),
     }
     sections = {part.split()[0]: part for part in text.split("\n## ")[1:]}
-    for name, (typed, of_files) in types.items():
+    for name, keys in expected.items():
         rows = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", sections[name], re.MULTILINE)
-        keys = {key for row in rows for key in re.findall(r"\w+", row)}
-        assert keys == set(typed.__annotations__) | of_files, name
+        assert {key for row in rows for key in re.findall(r"\w+", row)} == keys, name
+    # Tables within a line, such as those of shapes and marks.
+    for typed in (tables.PlaneValues, tables.SphereValues, tables.CylinderValues, tables.MarkValues):
+        assert all(re.search(rf"[{{,] {key} = ", text) for key in typed.__annotations__), typed
