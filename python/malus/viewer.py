@@ -34,7 +34,8 @@ _MIDDLE_GRAY = 0.42
 
 def pack(values: NDArray[Any], bits: int = 16) -> str:
     """Whole numbers that fit into so many bits (signed or unsigned), as differences modulo 2^bits, in base64 of Deflate."""
-    steps = np.diff(values.ravel().astype(np.int64), prepend=0)
+    numbers = values.ravel().astype(np.int64)
+    steps = numbers - np.concatenate([[0], numbers[:-1]])
     planes = np.concatenate([((steps >> shift) & 0xFF).astype(np.uint8) for shift in range(0, bits, 8)])
     return base64_text(zlib.compress(planes.tobytes(), 6))
 

@@ -76,7 +76,7 @@ def _toned(path: Path, side_px: int | None = None) -> NDArray[np.uint8]:
 def colored(values: NDArray[Any], colors: str, low: float, high: float) -> NDArray[np.uint8]:
     """A picture H×W×4 in the colors of a matplotlib color map, transparent where there is no value."""
     scaled = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-9), 0, 1)
-    picture = np.rint(255 * mpl.colormaps[colors](scaled)).astype(np.uint8)
+    picture: NDArray[np.uint8] = np.rint(255 * mpl.colormaps[colors](scaled)).astype(np.uint8)
     picture[..., 3] = np.where(np.isfinite(values), 255, 0)
     return picture
 

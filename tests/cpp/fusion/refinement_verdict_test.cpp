@@ -151,7 +151,7 @@ TEST(Verdict, WarnsOfAnIndexThatIsNeitherGivenNorEstimated) {
   report.eta_sigma = nan;
   report.reflection.eta = 1.5;
   EXPECT_TRUE(mentions(judged(report).warnings, "refractive index is not known"));
-  EXPECT_TRUE(mentions(judged(report).warnings, "1.5 is taken"));
+  EXPECT_TRUE(mentions(judged(report).warnings, "1.5 is used"));
 }
 
 }  // namespace

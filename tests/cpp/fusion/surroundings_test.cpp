@@ -276,14 +276,13 @@ TEST(Surroundings, DetermineTheRefractiveIndexOfTheBody) {
 
 TEST(Surroundings, CorrectAStatedIndexThatIsContradicted) {
   SyntheticOptions scene;
-  scene.size = {112, 96};
+  scene.size = {160, 128};
   scene.model.eta = 1.8;
   scene.bump_gsd = 0.5;  // small bumps: the prior's slopes are accurate enough to estimate the index
   const Pinhole view = make_station(scene).prior.camera;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.8, view, Context{});
   const SyntheticStation station = make_station(scene);
-  RefineOptions options = quick();
-  options.surroundings_iterations = 5;
+  RefineOptions options;
   const RefineResult corrected = refine(station.state, station.prior, {}, options, Context{});
   ASSERT_TRUE(corrected.report.reflection.mirrored) << "a map of the surroundings must be fitted";
   EXPECT_NEAR(corrected.report.reflection.eta, 1.8, 0.1);
@@ -340,7 +339,7 @@ TEST(Surroundings, DoNotFollowASlowBendOfTheSurface) {
 
 TEST(Surroundings, AnUnknownIndexIsNotEstimatedTogetherWithAMap) {
   SyntheticOptions scene;
-  scene.size = {96, 80};
+  scene.size = {160, 128};
   const Pinhole view = make_station(scene).prior.camera;
   scene.model.mirrored = std::make_shared<MirroredLightTable>(window(0.2), 1.5, view, Context{});
   const SyntheticStation station = make_station(scene);

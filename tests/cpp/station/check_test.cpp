@@ -95,7 +95,7 @@ TEST(CheckStation, ReadsLabelsInMemory) {
   station.labels = Mask({40, 30}, 1, std::uint8_t{2});
   station.file.optics.reflection = ReflectionChoice::labels;
   const Plan plan = check_station(station, {}, {});
-  const std::string expected = "prior: mesh of 2 triangles, covers 100 % of the object";
+  const std::string expected = "prior: mesh of 2 triangles, covers 97 % of the object";
   EXPECT_NE(std::ranges::find(plan.does, expected), plan.does.end());
   (*station.labels)(3, 4) = 7;
   expect_error(
@@ -167,7 +167,7 @@ TEST(CheckStation, SaysWhatEveryKindOfPriorCovers) {
   Image<float> left({40, 30}, 1, std::numeric_limits<float>::quiet_NaN());
   for (int v = 0; v < 30; ++v) std::fill_n(left.row(v), 20, 100.0F);
   const std::vector<std::pair<PriorSource, std::string>> seen{
-      {mesh_file("mesh.ply", 100), "mesh of 2 triangles, covers 100 % of the object"},
+      {mesh_file("mesh.ply", 100), "mesh of 2 triangles, covers 97 % of the object"},
       {left, "depth map, covers 50 % of the object"},
       {Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}}), "plane, covers 100 %"},
       {Shape(SphereShape{{0, 0, 200}, 100}), "sphere, covers 100 %"},
