@@ -31,13 +31,12 @@ from malus.lengths import shown
 from malus.object import arrays, glb
 from malus.raster import sample, sample_known
 from malus.repair import FILLED_COLOR, filled, trimmed
-from malus.result import Result
 from malus.rti import normal_levels, write_relight, write_rti
 from malus.surface import Dem, Mesh, dem_from_mesh, mesh_from_depth
 from malus.threads import ALL_CORES
 from malus.trust import extras_of, said_of, words_of
 from malus.units import METERS
-from malus.workspace import Raster, Workspace, folder_of
+from malus.workspace import Raster, Workspace, WorkspaceGiver, folder_of
 from malus.xmp import packet, save_png, tag_png, tag_tiff
 
 #: Largest rounding of a coordinate in an STL file: a tenth of a pixel is about what fusion adds to the coarse surface.
@@ -497,7 +496,7 @@ COLORED = ("obj", "ply", "glb", "orthophoto", "las", "e57", "xyz", "colmap")
 
 
 def export(
-    work: str | Path | Result,
+    work: str | Path | WorkspaceGiver,
     format: str,
     output: str | Path | None = None,
     *,

@@ -25,9 +25,8 @@ from malus.paper import plates as paper_plates
 from malus.paper.tables import table_1
 from malus.photo_words import WORDS
 from malus.report_head import accuracy_of, head_of
-from malus.result import Result
 from malus.trust import what_to_trust
-from malus.workspace import STEPS, Workspace, folder_of
+from malus.workspace import STEPS, Workspace, WorkspaceGiver, folder_of
 
 #: The surfaces that the report compares, in the order of its tables.
 SURFACES = ("prior", "polarization", "fused")
@@ -199,7 +198,7 @@ def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -
     return [(name, title) for name, title in every if name not in absent]
 
 
-def write_report(work: str | Path | Result, output: str | Path | None = None) -> Path:
+def write_report(work: str | Path | WorkspaceGiver, output: str | Path | None = None) -> Path:
     """Write the report of a workspace or a result; returns the page's path.
 
     In a workspace the page is WORK/report/index.html, with its figures as PNG and CSV beside it. With `output`, which a result in

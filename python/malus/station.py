@@ -188,8 +188,7 @@ class Station:
         indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), `prior`, a file or a shape, or `photos`, which
         give the camera's pose, too. The polarization maps and the height from them need neither prior nor camera (None);
         everything else does. prior_sigma: standard deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object.
-        refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide), like
-        the mask of the images as taken.
+        refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide) as taken.
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
         channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
@@ -197,16 +196,9 @@ class Station:
         Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
         malus.InputError, whose message names tables and keys as for a file.
         """
-        stack = as_images(images, "images", color=True)
+        stack, whole_numbers = _stack(images, camera, polarized)
         shape = stack[0].shape[:2]
-        if camera is not None and shape != (camera.height, camera.width):
-            raise ValueError(f"images are {shape[1]} x {shape[0]} pixels, camera is {camera.width} x {camera.height}")
-        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, shape)
-        ways = (prior_points, prior_mesh, prior_depth, prior, photos)
-        if sum(given is not None for given in ways) > 1:
-            raise ValueError(
-                "prior_points, prior_mesh, prior_depth, prior, photos: more than one is given, expected one of them"
-            )
+        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, shape, (prior, photos))
         labels = None if isinstance(reflection, str | os.PathLike) else _labels(reflection, optics, shape)
         self._labels_sha256 = None if labels is None else hashlib.sha256(labels.tobytes()).hexdigest()
         noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
@@ -226,17 +218,16 @@ class Station:
             "scale": scale,
             "control": control,
         }
-        has_white = (polarized or {}).get("white_level") is not None
         self._core = _core.Station.from_arrays(
             images=stack,
-            whole_numbers=has_white and all(np.asarray(image).dtype.kind in "iu" for image in images),
+            whole_numbers=whole_numbers,
             camera=None if camera is None else camera.values(),
             tables=json.dumps(plain(tables, "station: ")),
             **arrays,
             mask=None if mask is None else as_mask(mask, shape),
             labels=labels,
         )
-        if not has_white:
+        if (polarized or {}).get("white_level") is None:
             require_shares(stack, "images", "their polarized.white_level")
 
     @classmethod
@@ -301,6 +292,18 @@ def _loaded(file: str, curves: list[tuple[int, int]] | None, photos_of: str | No
     return station if curves is None else station.with_curves_of(curves)
 
 
+def _stack(
+    images: Sequence[ArrayLike] | NDArray[Any], camera: Camera | None, polarized: PolarizedValues | None
+) -> tuple[list[NDArray[Any]], bool]:
+    """The images, float32, and whether they are whole numbers, rounded as those of a file. ValueError if their size is not the camera's."""
+    stack = as_images(images, "images", color=True)
+    height, width = stack[0].shape[:2]
+    if camera is not None and (height, width) != (camera.height, camera.width):
+        raise ValueError(f"images are {width} x {height} pixels, camera is {camera.width} x {camera.height}")
+    has_white = (polarized or {}).get("white_level") is not None
+    return stack, has_white and all(np.asarray(image).dtype.kind in "iu" for image in images)
+
+
 def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
@@ -329,8 +332,16 @@ def _prior_arrays(
     mesh: tuple[ArrayLike, ArrayLike] | None,
     depth: ArrayLike | None,
     shape: tuple[int, ...],
+    others: tuple[object, object],
 ) -> dict[str, Any]:
-    """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points."""
+    """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points.
+
+    others: the tables that give a prior, too. ValueError if more than one way is given.
+    """
+    if sum(given is not None for given in (points, mesh, depth, *others)) > 1:
+        raise ValueError(
+            "prior_points, prior_mesh, prior_depth, prior, photos: more than one is given, expected one of them"
+        )
     arrays: dict[str, Any] = dict.fromkeys(("prior_points", "prior_normals", "prior_triangles", "prior_depth"))
     if points is not None:
         arrays["prior_points"] = as_rows(points, "prior_points")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,29 @@ from malus._files import sha256_of
 from malus.camera import Camera
 from malus.errors import InputError, MalusError
 from malus.options import Options
-from malus.result import Result
 
 Raster = NDArray[np.float32]
 #: The names of the steps in manifest.json, in the order in which they run.
 STEPS: tuple[str, ...] = tuple(_core.step_names())
 
 
+class WorkspaceGiver(Protocol):
+    """A result in memory, which can be written to a workspace. (The module of results imports this one.)"""
+
+    @property
+    def name(self) -> str:
+        """The station's name."""
+
+    @property
+    def workspace(self) -> Path | None:
+        """The workspace folder that holds the result; None if it is only in memory."""
+
+    def in_workspace(self) -> AbstractContextManager[Path]:
+        """The workspace folder; for a result in memory, a temporary one that exists until the context ends."""
+
+
 @contextmanager
-def folder_of(work: str | Path | Result, output: str | Path | None, what_output: str) -> Iterator[Path]:
+def folder_of(work: str | Path | WorkspaceGiver, output: str | Path | None, what_output: str) -> Iterator[Path]:
     """The workspace folder of a result. Without an `output` (`what_output`: what it names, for the message), InputError for a result in
     memory: its folder is temporary, and with it all that is written there.
     """

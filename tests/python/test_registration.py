@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import malus_here
+from conftest import QUICK_WORDS, malus_here
 from malus import registration
 from malus.registration import place_reference
 
@@ -90,21 +90,22 @@ def test_arrays_of_a_wrong_shape_are_named() -> None:
         place_reference(relief(1), CAMERA, relief(1)[:100].T)
 
 
-def test_the_command_finds_the_place_of_a_scan(finished_grid: Path, small_station_source: Path, tmp_path: Path) -> None:
+def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Path) -> None:
     """The fused surface itself, rotated and moved away, is brought back to its place."""
-    work, station = shutil.copytree(finished_grid, tmp_path / "work"), small_station_source / "station.toml"
+    work = tmp_path / "work"
+    assert malus_here("fuse", small_station, "-o", work, *QUICK_WORDS, "--threads", "2", "--quiet").code == 0
     points = malus.Workspace(work).points().reshape(-1, 3)
     points = points[np.isfinite(points).all(1)]
     scan = tmp_path / "scan.xyz"
     np.savetxt(scan, turned(points, 90, (0.1, 0.2, 1)) + np.array([300, -200, 100]))
-    outcome = malus_here("assess", station, "-o", work, "--fusion", "grid", "--reference", scan, "--register")
+    outcome = malus_here("assess", small_station, "-o", work, "--reference", scan, "--register", *QUICK_WORDS)
     assert outcome.code == 0, outcome.err
     quality = json.loads((work / "quality.json").read_text())
     assert quality["reference"]["compared_fraction"] > 0.99
     assert quality["reference"]["distance_gsd"]["rmse"] < 0.05
     found = json.loads((work / "reference/registration.json").read_text())
     assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
-    alone = malus_here("assess", station, "-o", work, "--fusion", "grid", "--register")
+    alone = malus_here("assess", small_station, "-o", work, "--register", *QUICK_WORDS)
     assert alone.code == 2 and "--register needs a reference" in alone.err
 
 
