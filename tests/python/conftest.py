@@ -10,6 +10,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -73,6 +75,27 @@ LONGEST_FIRST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {name: place for place, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: places.get(item.path.name, len(places)))
+
+
+def turns_of_another_thread(work: Callable[[], object]) -> int:
+    """How often another thread ran while `work` did: never, if it holds the interpreter's lock."""
+    ended = threading.Event()
+    ticks: list[float] = []
+
+    def tick() -> None:
+        while not ended.wait(0.002):
+            ticks.append(time.monotonic())
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    try:
+        begin = time.monotonic()
+        work()
+        end = time.monotonic()
+    finally:
+        ended.set()
+        thread.join()
+    return sum(begin < at < end for at in ticks)
 
 
 needs_shared = pytest.mark.skipif(not (SHARED / "data").exists(), reason="the test data in ../shared is not here")

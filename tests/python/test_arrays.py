@@ -5,15 +5,13 @@ from __future__ import annotations
 import copy
 import pickle
 import runpy
-import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import malus
-from conftest import ROOT, SHARED, needs_shared
+from conftest import ROOT, SHARED, needs_shared, turns_of_another_thread
 
 ANGLES = np.radians([0, 30, 60, 90, 120, 150])
 
@@ -280,23 +278,9 @@ def test_wrong_angles_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray])
 def test_other_threads_run_while_large_arrays_are_computed() -> None:
     """The Fresnel functions held the interpreter's lock, so that Ctrl-C had to wait, too."""
     degrees = np.full((2500, 4000), 0.1)
-    ended = threading.Event()
-    ticks: list[float] = []
-
-    def tick() -> None:
-        while not ended.wait(0.002):
-            ticks.append(time.monotonic())
-
-    thread = threading.Thread(target=tick)
-    thread.start()
-    try:
-        begin = time.monotonic()
-        zeniths = malus.polarization.specular_zenith(degrees)
-        end = time.monotonic()
-    finally:
-        ended.set()
-        thread.join()
-    assert sum(begin < at < end for at in ticks) > 3
+    found: list[np.ndarray] = []
+    assert turns_of_another_thread(lambda: found.append(malus.polarization.specular_zenith(degrees))) > 3
+    (zeniths,) = found
     assert zeniths.shape == degrees.shape and np.ptp(zeniths) == 0
     assert zeniths[0, 0] == malus.polarization.specular_zenith(0.1)
 

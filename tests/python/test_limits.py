@@ -13,7 +13,6 @@ import signal
 import struct
 import subprocess
 import sys
-import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngImageFile
 
-from conftest import Outcome, edit, half_written, malus, malus_here, malus_station
+from conftest import Outcome, edit, half_written, malus, malus_here, malus_station, turns_of_another_thread
 from malus import _core, _patterns
 from malus._files import new_folder, read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
@@ -462,20 +461,4 @@ def test_records_are_read_as_they_were_written_only(tmp_path: Path) -> None:
 def test_other_threads_run_while_files_are_read_and_written(tmp_path: Path) -> None:
     """A progress display and Studio's server stood still meanwhile."""
     raster = np.zeros((6000, 6000), np.float32)
-    ended = threading.Event()
-    ticks: list[float] = []
-
-    def tick() -> None:
-        while not ended.wait(0.002):
-            ticks.append(time.monotonic())
-
-    thread = threading.Thread(target=tick)
-    thread.start()
-    try:
-        begin = time.monotonic()
-        _core.write_float_tiff(str(tmp_path / "a.tif"), raster)
-        end = time.monotonic()
-        assert sum(begin < at < end for at in ticks) > 3
-    finally:
-        ended.set()
-        thread.join()
+    assert turns_of_another_thread(lambda: _core.write_float_tiff(str(tmp_path / "a.tif"), raster)) > 3

@@ -181,14 +181,18 @@ def test_a_damaged_page_of_an_e57_file_is_named(tmp_path: Path, cloud: tuple[np.
         read_scan(tmp_path / "cloud.e57", "mm")
 
 
+def written_e57(folder: Path, points: np.ndarray) -> tuple[Path, bytes]:
+    """An E57 file of these points, and its content without the checksums of its pages."""
+    pytest.importorskip("pye57")
+    write_e57(folder / "cloud.e57", points)
+    return folder / "cloud.e57", content_of((folder / "cloud.e57").read_bytes())
+
+
 def test_points_that_an_e57_file_counts_but_does_not_hold_are_refused(
     tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
 ) -> None:
     """They were whatever the memory held before."""
-    pytest.importorskip("pye57")
-    path = tmp_path / "cloud.e57"
-    write_e57(path, cloud[0])
-    whole = content_of(path.read_bytes())
+    path, whole = written_e57(tmp_path, cloud[0])
     path.write_bytes(as_file(whole))
     np.testing.assert_allclose(read_scan(path, "mm")[0], cloud[0], atol=1e-4)
     for count, said in ((b"501", "holds 500"), (b"987654321098", "more than the file has room for")):
@@ -201,10 +205,7 @@ def test_a_scan_without_all_coordinates_or_with_no_rotation_is_named(
     tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
 ) -> None:
     """The first ended with an error of its own."""
-    pytest.importorskip("pye57")
-    path = tmp_path / "cloud.e57"
-    write_e57(path, cloud[0])
-    whole = content_of(path.read_bytes())
+    path, whole = written_e57(tmp_path, cloud[0])
     path.write_bytes(as_file(whole.replace(b"cartesianZ", b"cartesianW")))
     with pytest.raises(malus.InputError, match=r"cloud\.e57: .*no coordinates"):
         read_scan(path, "mm")
