@@ -25,7 +25,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -479,14 +479,15 @@ def main() -> int:
     once = [] if arguments.kills or arguments.photos or arguments.object else disturbances(attacks["grid"])
     chance.shuffle(once)
     kills = told = 0
-    while kills < arguments.kills if arguments.kills else time.monotonic() < end:
-        if once:
-            once.pop()()
-        kill(attacks, chance)
-        kills = sum(map(Attack.kills, attacks.values()))
-        if kills // KILLS_TOLD > told:
-            told = kills // KILLS_TOLD
-            print(f"{kills} kills: {counts(attacks)}", file=sys.stderr, flush=True)
+    with suppress(KeyboardInterrupt):  # an attack that is ended by hand gives its counts, too
+        while kills < arguments.kills if arguments.kills else time.monotonic() < end:
+            if once:
+                once.pop()()
+            kill(attacks, chance)
+            kills = sum(map(Attack.kills, attacks.values()))
+            if kills // KILLS_TOLD > told:
+                told = kills // KILLS_TOLD
+                print(f"{kills} kills: {counts(attacks)}", file=sys.stderr, flush=True)
     for name, attack in attacks.items():
         print(f"{name}: {dict(attack.runs)}; undisturbed {attack.seconds:.1f} s")
     findings = sum(len(attack.findings) for attack in attacks.values())
