@@ -167,7 +167,7 @@ TEST(CheckStation, SaysWhatEveryKindOfPriorCovers) {
   Image<float> left({40, 30}, 1, std::numeric_limits<float>::quiet_NaN());
   for (int v = 0; v < 30; ++v) std::fill_n(left.row(v), 20, 100.0F);
   const std::vector<std::pair<PriorSource, std::string>> seen{
-      {mesh_file("mesh.ply", 100), "mesh of 2 triangles, covers 97 % of the object"},
+      {mesh_file("mesh.ply", 100), "mesh of 2 triangles, covers 100 % of the object"},
       {left, "depth map, covers 50 % of the object"},
       {Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}}), "plane, covers 100 %"},
       {Shape(SphereShape{{0, 0, 200}, 100}), "sphere, covers 100 %"},
