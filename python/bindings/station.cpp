@@ -38,7 +38,7 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
                             const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask,
                             const std::optional<Mask>& labels) {
   Station station;
-  GivenInMemory given{images.size(), images.front().size(), {}, prior_points || prior_depth};
+  GivenInMemory given{images.size(), images.front().size(), {}, prior_points || prior_depth, labels.has_value()};
   if (camera) {
     const auto [lens, pose] = to_camera(*camera, "camera");
     given.camera = CameraSpec{lens, pose};

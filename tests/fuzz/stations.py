@@ -26,6 +26,7 @@ curve_pixels = [[1, 2]]
 [optics]
 refractive_index = "auto"
 reflection = "specular"
+metal = [0.7, 2.6]
 light = [0.1, 0.0, -1.0]
 """
 _POSE = """

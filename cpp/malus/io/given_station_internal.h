@@ -15,6 +15,7 @@ struct GivenInMemory {
   Size image_size;
   std::optional<CameraSpec> camera;  ///< nothing = not known, as in a station file without [camera]
   bool has_prior = false;
+  bool has_labels = false;  ///< of the reflection
 };
 
 /// Station whose images, camera and perhaps prior are in memory. `json` is an object with a station file's other

@@ -7,6 +7,7 @@
 
 #include "malus/core/degrees_internal.h"
 #include "malus/core/length_unit_internal.h"
+#include "malus/core/metal_internal.h"
 #include "malus/core/refractive_index_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/colmap_workspace_internal.h"
@@ -293,7 +294,37 @@ PolarizedSpec read_polarized(const TomlTable& table, const GivenInMemory* given)
 
 // ---- [optics] ----
 
-OpticsSpec read_optics(const TomlTable& table) {
+/// The metal as one text: a list [n, k] becomes "n+ki".
+MetalStatement read_metal(const TomlTable& table) {
+  const toml::node* const node = table.find("metal");
+  if (node == nullptr) return {};
+  std::string text;
+  if (node->is_string()) text = *table.text("metal");
+  if (node->is_array()) {
+    const std::array<double, 2> index = *table.numbers_exactly<2>("metal");
+    text = metal_index_text(index[0], index[1]);
+  }
+  std::optional<MetalStatement> metal = read_metal_statement(text);
+  if (!metal) throw table.wrong("metal", expected_metal());
+  return *metal;
+}
+
+/// Sets the kind of reflection: a word, or the file of a label image.
+void read_reflection(const TomlTable& table, OpticsSpec& spec) {
+  const std::string reflection = table.text("reflection").value_or("auto");
+  const auto choice = enum_value<ReflectionChoice>(reflection);
+  if (choice && *choice != ReflectionChoice::labels) {
+    spec.reflection = *choice;
+    return;
+  }
+  if (!std::filesystem::exists(table.resolve("reflection", reflection))) {
+    throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
+  }
+  spec.label_image = table.existing_file("reflection");
+  spec.reflection = ReflectionChoice::labels;
+}
+
+OpticsSpec read_optics(const TomlTable& table, const GivenInMemory* given) {
   OpticsSpec spec;
   if (table.is_auto("refractive_index")) {
     spec.refractive_index.reset();
@@ -304,17 +335,12 @@ OpticsSpec read_optics(const TomlTable& table) {
   spec.light = table.numbers_exactly<3>("light");
   if (spec.light && !(std::hypot((*spec.light)[0], (*spec.light)[1], (*spec.light)[2]) > 0 && (*spec.light)[2] < 0))
     throw table.wrong("light", "a direction [x, y, z] towards the source with z < 0, on the camera's side");
-  const std::string reflection = table.text("reflection").value_or("auto");
-  const auto choice = enum_value<ReflectionChoice>(reflection);
-  if (choice && *choice != ReflectionChoice::labels) {
-    spec.reflection = *choice;
-    return spec;
-  }
-  if (!std::filesystem::exists(table.resolve("reflection", reflection))) {
-    throw table.wrong("reflection", "\"diffuse\", \"specular\", \"auto\" or the file of a label image");
-  }
-  spec.label_image = table.existing_file("reflection");
-  spec.reflection = ReflectionChoice::labels;
+  read_reflection(table, spec);
+  const MetalStatement metal = read_metal(table);
+  const bool has_labels = given != nullptr && given->has_labels;
+  const auto expected = expected_metal_with(metal, has_labels ? ReflectionChoice::labels : spec.reflection);
+  if (expected) throw table.wrong("metal", *expected);
+  spec.metal = metal.text;
   return spec;
 }
 
@@ -748,8 +774,8 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   const auto polarized = document.required(document.section("polarized", polarized_keys(given)), "polarized",
                                            "the section [polarized] with the images taken through the polarizer");
   station.polarized = read_polarized(polarized, given);
-  if (const auto table = document.section("optics", {"refractive_index", "reflection", "light"}))
-    station.optics = read_optics(*table);
+  if (const auto table = document.section("optics", {"refractive_index", "reflection", "light", "metal"}))
+    station.optics = read_optics(*table, given);
   if (const auto table = document.section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
   const bool prior_in_memory = given != nullptr && given->has_prior;
   if (const auto table = document.section("prior", joined({surface_keys, {"sigma"}}))) {

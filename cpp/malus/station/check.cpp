@@ -10,6 +10,7 @@
 #include "malus/capture/response_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/even_choice_internal.h"
+#include "malus/core/metal_internal.h"
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/image_file_internal.h"
@@ -188,6 +189,14 @@ std::string describe_images(const Station& station) {
   return text;
 }
 
+/// The refinement of an object of a stated metal, in words; nothing without one.
+std::string describe_metal(const OpticsSpec& optics) {
+  const MetalStatement metal = accepted_metal(optics.metal, optics.reflection, "optics.metal");
+  if (!metal.names_metal()) return {};
+  return "the surface of bare metal, as optics.metal = \"" + metal.text + "\" states, with the refractive index " +
+         metal_index_text(metal.index.real(), metal.index.imag());
+}
+
 /// The station as the Python package hands it over once the prior is made from its photos.
 Station with_prior_of_photos(Station station) {
   if (!station.has_prior() && station.file.photos) station.prior = SweptDepth{};
@@ -240,6 +249,9 @@ Plan check_station(const Station& station, const Options& options, const Context
         "`malus decompose` and `malus height` show what polarization alone tells");
   }
 
+  if (options.fusion == Fusion::refined) {
+    if (const std::string metal = describe_metal(station.file.optics); !metal.empty()) details["fuse"] = metal;
+  }
   if (const std::string scale = describe_scale(station.file); !scale.empty()) plan.does.push_back("scale: " + scale);
   if (!station.file.frame_is_of_photos()) {
     if (const std::string control = describe_control(station.file); !control.empty())

@@ -95,9 +95,14 @@ Json StationInputs::polarized() {
 
 Json StationInputs::optics() {
   Json json = fields_to_json(station_.file.optics);
+  json.erase("metal");
   if (station_.file.optics.label_image) json["label_image"] = file(*station_.file.optics.label_image);
   if (station_.labels) json["label_image"] = array("labels", *station_.labels);
   return json;
+}
+
+Json StationInputs::metal() {
+  return station_.file.optics.metal;
 }
 
 Json StationInputs::lens() {

@@ -37,7 +37,9 @@ class StationInputs {
   /// [object].
   Json object();
   Json polarized();
+  /// [optics] without the metal, on which the fusion alone depends.
   Json optics();
+  Json metal();
   /// The lens alone: undistortion depends on nothing else of the camera.
   Json lens();
   /// Lens and pose.

@@ -174,6 +174,35 @@ TEST_F(StationFileTest, WrongTypesAndValuesNameFieldValueAndExpectation) {
   optics("reflection = \"shiny\"", "shiny", "\"diffuse\"");
 }
 
+TEST_F(StationFileTest, ReadsTheMetal) {
+  const auto metal = [&](const std::string& lines) {
+    Sections sections;
+    sections.rest = "[optics]\n" + lines + "\n";
+    return read(sections).optics.metal;
+  };
+  EXPECT_EQ(read({}).optics.metal, "auto");
+  EXPECT_EQ(metal("metal = \"none\"\nreflection = \"diffuse\""), "none");
+  EXPECT_EQ(metal("metal = \"bronze\"\nreflection = \"specular\""), "bronze");
+  EXPECT_EQ(metal("metal = \"0.7 + 2.6i\""), "0.7 + 2.6i");
+  EXPECT_EQ(metal("metal = [0.7, 2.6]"), "0.7+2.6i");
+  EXPECT_EQ(metal("metal = [1, 3]"), "1+3i");
+}
+
+TEST_F(StationFileTest, MetalsThatAreUnknownOrContradictTheReflectionAreRefused) {
+  const auto refused = [&](const std::string& lines, const auto&... parts) {
+    Sections sections;
+    sections.rest = "[optics]\n" + lines + "\n";
+    rejects(sections, "[optics].metal", parts...);
+  };
+  refused("metal = \"bronz\"", "bronz", "\"silver\"", "\"bronze\"", "[0.7, 2.6]");
+  refused("metal = [0.7, 0]", "k from 0.5 to 20");
+  refused("metal = [0.7, nan]", "numbers");
+  refused("metal = [0.7]", "list of 2 numbers");
+  refused("metal = 0.7", "0.7", "\"silver\"");
+  refused("metal = \"bronze\"\nreflection = \"diffuse\"", "bronze", "reflection = \"diffuse\"", "\"none\"");
+  refused("metal = \"bronze\"\nreflection = \"label.png\"", "labels", "whole object");
+}
+
 TEST_F(StationFileTest, MissingFilesAreNamed) {
   rejects_change("pol/a_045.png", "pol/a_046.png", "[polarized].images", "a_046.png", "no such file");
   rejects_change("pol/a_045.png", "pol/a_000.png", "a_000.png", "listed twice");

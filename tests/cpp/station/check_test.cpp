@@ -146,6 +146,15 @@ TEST(CheckStation, MeasuresThePriorScaledToKnownDistances) {
   expect_contains(does, "200 mm from the camera");
 }
 
+TEST(CheckStation, SaysThatTheObjectIsTreatedAsAStatedMetal) {
+  Station station = scaled_station();
+  station.prior = cloud_of(station);
+  EXPECT_EQ(plan_of(station).find("metal"), std::string::npos);
+  station.file.optics.metal = "bronze";
+  expect_contains(plan_of(station), "fuse: the surface of bare metal, as optics.metal = \"bronze\" states");
+  expect_contains(plan_of(station), "0.519+2.415i");
+}
+
 /// Two triangles at this z that fill the view.
 TriangleMesh mesh_at(double z) {
   TriangleMesh mesh;

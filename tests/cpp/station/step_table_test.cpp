@@ -50,6 +50,13 @@ TEST(StepTable, NoTwoStepsLeaveTheSameFile) {
   }
 }
 
+TEST(StepTable, OnlyTheFusionDependsOnTheMetal) {
+  for (const Step& step : step_table()) {
+    const bool depends = std::ranges::find(step.station, &StationInputs::metal) != step.station.end();
+    EXPECT_EQ(depends, step.name == "fuse") << step.name;
+  }
+}
+
 TEST(StepTable, ARunHasTheStepsItNeeds) {
   const Options refined;
   EXPECT_EQ(names_of_run(with_prior(), refined),
