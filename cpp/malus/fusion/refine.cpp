@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -9,6 +10,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/median_internal.h"
+#include "malus/core/metal_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
 #include "malus/core/refractive_index_internal.h"
@@ -184,8 +186,8 @@ class Refiner {
 
   /// Takes the model that explains more at the prior's slopes: regions that are diffuse or specular, or an object that
   /// is matte all over and mirrors its surroundings. For the second model, the object is taken for a metal if that
-  /// explains s0, too.
-  void choose_model() {
+  /// explains s0, too, and `may_be_metal`.
+  void choose_model(bool may_be_metal) {
     // The second model has hundreds of parameters more, and these explain a part of any data.
     constexpr double clearly = 0.1;
     fit_reflection(image_, options_, false, report_, map_, context_);
@@ -208,9 +210,8 @@ class Refiner {
     map_.material.index = image_.reflection.eta;
     const SurroundingsFit dielectric = fit_mirrored(image_, report_, map_, context_);
     // A metal mirrors all its light, and polarizes it accordingly.
-    constexpr std::size_t few = 1500;
     std::optional<std::pair<MirrorMaterial, SurroundingsFit>> metal;
-    if (mirrors) metal = find_metal(collect_samples(image_, Reflection::diffuse, few), dielectric.cost, context_);
+    if (mirrors && may_be_metal) metal = find_metal(samples_of_metal(), dielectric.cost, context_);
     if (metal) {
       map_ = {metal->first};
       take_surroundings(metal->second, image_, report_, map_, context_);
@@ -231,6 +232,20 @@ class Refiner {
     image_.other_finish = {};
     report_.surroundings = {};
     report_.self_mirroring_share = report_.other_finish_share = 0;
+  }
+
+  /// Takes the object for the metal that the station file states. What the data say against it is only reported: how
+  /// much of the result counts is decided by the evidence, as for any metal.
+  void take_metal(std::complex<double> index) {
+    if (count_of_set(image_.usable) == 0) return;
+    image_.kind.fill(Reflection::diffuse);
+    leave_out_self_mirroring();
+    const std::vector<ReflectionSample> samples = samples_of_metal();
+    const SurroundingsFit metal = fit_of_material(samples, index, context_);
+    const SurroundingsFit dielectric = fit_of_material(samples, image_.reflection.eta, context_);
+    report_.stated_metal = {metal.intensity_error, metal.cost, dielectric.cost};
+    map_ = {MirrorMaterial{index}};
+    take_surroundings(metal, image_, report_, map_, context_);
   }
 
   /// For a dielectric with a map of the surroundings: the map is fitted at the prior's low frequencies, and the result
@@ -486,6 +501,12 @@ class Refiner {
     return {options_, widening, weighs_regions ? regional_sigma_px : 0};
   }
 
+  /// Samples by which a metal is compared with other materials.
+  std::vector<ReflectionSample> samples_of_metal() const {
+    constexpr std::size_t few = 1500;
+    return collect_samples(image_, Reflection::diffuse, few);
+  }
+
   /// Pixels that mirror the object itself are not used: a map of the surroundings cannot explain them.
   void leave_out_self_mirroring() {
     constexpr double most = 0.5;  // above this share the prior is too inaccurate to decide
@@ -706,11 +727,16 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   RefinementImage image = make_image(state, prior, context);
   if (input.refractive_index)
     image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");
+  const MetalStatement metal = accepted_metal(input.metal, input.reflection, "optics.metal");
   RefineResult result;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
-  refiner.find_index(input.refractive_index);
-  if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model();
+  if (metal.names_metal()) {
+    refiner.take_metal(metal.index);
+  } else {
+    refiner.find_index(input.refractive_index);
+    if (options.surroundings && input.reflection == ReflectionChoice::automatic) refiner.choose_model(!metal.excluded);
+  }
   refiner.hold_map_to(prior);
   refiner.run();
   refiner.weigh_evidence(prior);

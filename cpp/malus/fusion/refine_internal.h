@@ -4,6 +4,7 @@
 #include <complex>
 #include <limits>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "malus/core/context.h"
@@ -25,6 +26,16 @@ struct RefineInput {
   std::optional<double> refractive_index = 1.5;  ///< none = estimated from the data
   ReflectionChoice reflection = ReflectionChoice::automatic;
   Mask labels;  ///< with ReflectionChoice::labels: 1 = diffuse, 2 = specular, 0 = not known; else empty
+  std::string metal = "auto";  ///< as in the station file, see core/metal_internal.h
+};
+
+/// How well a stated metal explains the data at the prior's slopes.
+struct StatedMetalFit {
+  double intensity_error = 0;         ///< median of |s0 − m0| / s0
+  double stokes_cost = 0;             ///< of (s1, s2): mean of ln(1 + r² / 4)
+  double dielectric_stokes_cost = 0;  ///< the same for a dielectric with a map of the surroundings
+
+  MALUS_FIELDS(intensity_error, stokes_cost, dielectric_stokes_cost)
 };
 
 /// One round of the refinement.
@@ -52,6 +63,7 @@ struct RefineReport {
   double other_finish_share = 0;  ///< of the usable pixels; 0 = all have one finish
   /// n + i k of the metal assumed by the model with surroundings; 0 = no metal.
   std::complex<double> metal_index = 0;
+  std::optional<StatedMetalFit> stated_metal;  ///< only of a metal that the station file states
   double eta_sigma = 0;              ///< 0 = the index is given, NaN = neither given nor determined by the data
   std::optional<double> stated_eta;  ///< only where another index explains the polarization clearly better
   std::array<double, EnvironmentProfile::node_count> environment_sigma{};
@@ -92,9 +104,10 @@ struct RefineResult {
 /// Unknown: x = f (ln z − mean) at the corners of every pixel with a finite prior and a known Stokes vector. Residuals:
 /// (s1, s2) against the forward model, neighboring albedos in diffuse regions, block means of the prior, small second
 /// differences. Reflection parameters, light and robust weights are fitted between solves. Throws an input error for
-/// inconsistent sizes or options out of range, a data error if no pixel is left to refine. There are two reflection
-/// models, and the one that explains more at the prior's slopes is taken: regions that are diffuse or specular, with an
-/// environment by zenith; or an object that is matte all over and mirrors its surroundings (surroundings_internal.h).
+/// inconsistent sizes, options out of range or a metal that contradicts the stated reflection, a data error if no pixel
+/// is left to refine. There are two reflection models, and the one that explains more at the prior's slopes is taken:
+/// regions that are diffuse or specular, with an environment by zenith; or an object that is matte all over and mirrors
+/// its surroundings (surroundings_internal.h). A stated metal is not tried but taken, with the second model.
 /// Where the model does not explain the polarization at the prior's slopes, the prior's surface stays (see
 /// surface_evidence_internal.h); surface.confidence and report.trust show where. Other limits of the data are in
 /// surface.confidence and surface.warnings; surface.status is the solver's ("converged", "not converged").

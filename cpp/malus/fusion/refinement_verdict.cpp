@@ -43,6 +43,27 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
   if (!is_the_prior(report)) surface.confidence.limit(ConfidenceLevel::partial, problem);
 }
 
+/// Says so where the images contradict the metal that the station file states.
+void judge_stated_metal(const StatedMetalFit& fit, ConfidenceLevel most, FusedSurface& surface) {
+  // At the prior's slopes metals had errors up to 0.11, all other materials but black lacquer from 0.27 on.
+  constexpr double largest_metal_error = 0.25, clearly_better = 0.5;
+  std::string against;
+  if (fit.intensity_error > largest_metal_error) {
+    against = "the brightness that a mirror of this metal would have is off by " + percent(fit.intensity_error) +
+              " (median; of bare metals by less than 15 %)";
+  }
+  if (fit.stokes_cost > fit.dielectric_stokes_cost + clearly_better) {
+    against += against.empty() ? "" : ", and ";
+    against += "a material that is not metal explains the polarization clearly better";
+  }
+  if (against.empty()) return;
+  warn(most,
+       "The images contradict optics.metal: " + against +
+           ". Usual causes are lacquer, patina or paint on the metal, lamps close to the object, or a misplaced prior. "
+           "If the object is not bare metal, set metal = \"none\" in [optics].",
+       surface);
+}
+
 void judge_model(const RefineReport& report, FusedSurface& surface) {
   constexpr double largest_residual = 3;
   // A wrong model does no harm if the surface is the prior's.
@@ -50,9 +71,11 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   if (report.metal) {
     warn(most,
          "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the "
-         "surface is probably bare metal, for which the Fresnel formulas used here do not hold.",
+         "surface is probably bare metal, for which the Fresnel formulas used here do not hold. If it is, state which "
+         "one as metal in [optics].",
          surface);
   }
+  if (report.stated_metal) judge_stated_metal(*report.stated_metal, most, surface);
   if (!(report.median_residual <= largest_residual)) {
     warn(most,
          "The reflection model does not explain the measured polarization: the median residual is " +
@@ -112,7 +135,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
          "The surface is the prior's, or nearly: " + why_the_priors(report) +
-             ". Usual causes are metal, lamps close to the object, noise, or a misplaced prior.",
+             ". Usual causes are " + (report.stated_metal ? "a metal whose color changes" : "metal") +
+             ", lamps close to the object, noise, or a misplaced prior.",
          surface);
     return;
   }
@@ -131,11 +155,14 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
                      "of a plane: it says little of the relief on it. Fine detail is likely, not certain.");
   }
   if (report.metal_index != 0.0) {
-    surface.warnings.push_back(
-        "The object is taken for bare metal, whose refractive index is about " +
-        with_digits(report.metal_index.real(), 2) + " + " + with_digits(report.metal_index.imag(), 2) +
-        " i: its map of the surroundings explains brightness and polarization. Where the color changes, by tarnish or "
-        "gilding, slopes may be wrong.");
+    const std::string index =
+        with_digits(report.metal_index.real(), 2) + " + " + with_digits(report.metal_index.imag(), 2) + " i";
+    const std::string why =
+        report.stated_metal
+            ? "The object is treated as bare metal of refractive index " + index + ", as optics.metal states."
+            : "The object is taken for bare metal, whose refractive index is about " + index +
+                  ": its map of the surroundings explains brightness and polarization.";
+    surface.warnings.push_back(why + " Where the color changes, by tarnish or gilding, slopes may be wrong.");
   }
   if (report.reflection.mirrored) {
     confidence.limit(

@@ -102,20 +102,24 @@ SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCo
   return fit;
 }
 
+SurroundingsFit fit_of_material(const std::vector<ReflectionSample>& samples, std::complex<double> index,
+                                const Context& context) {
+  static constexpr std::array<Finishes, 3> roughnesses{{{0.08}, {0.15}, {0.3}}};
+  return fit_surroundings(samples, {index}, roughnesses, {}, context);
+}
+
 std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,
                                                                      double dielectric_cost, const Context& context) {
   // Silver and gold, alloys of copper, iron and lead; at 550 nm.
   static constexpr std::array<std::complex<double>, 3> metals{{{0.1, 3.6}, {0.63, 3.19}, {2.5, 3.0}}};
-  static constexpr std::array<Finishes, 3> roughnesses{{{0.08}, {0.15}, {0.3}}};
   // At the prior's slopes the error of s0 was 0.03 to 0.11 for metals, and 0.27 to 0.9 for clay, glaze, paint and
   // stone.
   constexpr double largest_error = 0.15, cost_margin = 0.1;
   std::optional<std::pair<MirrorMaterial, SurroundingsFit>> best;
   for (const std::complex<double> index : metals) {
-    const MirrorMaterial metal{index};
-    SurroundingsFit fit = fit_surroundings(samples, metal, roughnesses, {}, context);
+    SurroundingsFit fit = fit_of_material(samples, index, context);
     if (fit.intensity_error > largest_error || fit.cost > dielectric_cost + cost_margin) continue;
-    if (!best || fit.cost < best->second.cost) best.emplace(metal, std::move(fit));
+    if (!best || fit.cost < best->second.cost) best.emplace(MirrorMaterial{index}, std::move(fit));
   }
   return best;
 }

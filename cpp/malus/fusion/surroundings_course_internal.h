@@ -1,7 +1,9 @@
 #pragma once
 
+#include <complex>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "malus/core/context.h"
 #include "malus/fusion/refine_internal.h"
@@ -29,6 +31,11 @@ void take_surroundings(const SurroundingsFit& fit, RefinementImage& image, Refin
 /// Tries roughnesses near the known one, if any, and first decides again which pixels have the other finish, if there
 /// is one.
 SurroundingsFit fit_mirrored(RefinementImage& image, RefineReport& report, MapCourse& course, const Context& context);
+
+/// The surroundings that a material of this refractive index mirrors, fitted with a few roughnesses. An index with an
+/// imaginary part is a metal's.
+SurroundingsFit fit_of_material(const std::vector<ReflectionSample>& samples, std::complex<double> index,
+                                const Context& context);
 
 /// The metal that best explains both polarization and s0 of the samples; none if no metal explains both.
 std::optional<std::pair<MirrorMaterial, SurroundingsFit>> find_metal(const std::vector<ReflectionSample>& samples,

@@ -37,7 +37,8 @@ Json refine_report_json(const RefineReport& report) {
                     {"radiance", rows}};
     if (report.metal_index != 0.0)
       metal = {{"refractive_index", {report.metal_index.real(), report.metal_index.imag()}},
-               {"intensity_error", model.metal_error}};
+               {"intensity_error", model.metal_error},
+               {"stated", fields_to_json(report.stated_metal)}};
   }
   Json json = {{"refractive_index",
                 {{"value", model.eta},

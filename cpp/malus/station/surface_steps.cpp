@@ -165,6 +165,11 @@ FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPr
             << reflection.refractive_index;
     surface.warnings.push_back(message.str());
   }
+  if (const std::string& metal = job.station.file.optics.metal; metal != "auto" && metal != "none") {
+    surface.warnings.push_back("optics.metal = \"" + metal +
+                               "\": only the refinement treats the object as bare metal; with this method its zenith "
+                               "and height are those of a dielectric.");
+  }
   return judged(std::move(surface), evidence, job.context);
 }
 
@@ -176,6 +181,7 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
   RefineInput input;
   input.refractive_index = optics.refractive_index;
   input.reflection = optics.reflection;
+  input.metal = optics.metal;
   input.labels = labels_in_view(job.station, job.context);
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;

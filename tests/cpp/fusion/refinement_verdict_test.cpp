@@ -146,6 +146,26 @@ TEST(Verdict, AnIndexThatDiffersFromTheStatedOneLowersTheConfidence) {
   EXPECT_TRUE(mentions(surface.warnings, "contradicts optics.refractive_index = 1.5"));
 }
 
+TEST(Verdict, AStatedMetalThatTheImagesContradictLowersTheConfidence) {
+  RefineReport report = good();
+  report.metal_index = {0.519, 2.415};
+  report.stated_metal = {.intensity_error = 0.1, .stokes_cost = 2.9, .dielectric_stokes_cost = 2.8};
+  EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::high);
+  EXPECT_TRUE(mentions(judged(report).warnings, "0.52 + 2.4 i, as optics.metal states"));
+  EXPECT_FALSE(mentions(judged(report).warnings, "contradict"));
+  report.stated_metal->intensity_error = 0.63;
+  EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::low);
+  EXPECT_TRUE(mentions(judged(report).warnings, "contradict optics.metal"));
+  EXPECT_TRUE(mentions(judged(report).confidence.reasons, "off by 63 %"));
+  EXPECT_FALSE(mentions(judged(report).warnings, "clearly better"));
+  report.stated_metal = {.intensity_error = 0.1, .stokes_cost = 2.9, .dielectric_stokes_cost = 1.2};
+  EXPECT_TRUE(mentions(judged(report).warnings, "explains the polarization clearly better"));
+  EXPECT_FALSE(mentions(judged(report).warnings, "off by"));
+  report.trusted_share = 0;
+  EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::partial) << "the prior's surface is not in doubt";
+  EXPECT_TRUE(mentions(judged(report).warnings, "a metal whose color changes"));
+}
+
 TEST(Verdict, WarnsOfAnIndexThatIsNeitherGivenNorEstimated) {
   RefineReport report = good();
   report.eta_sigma = nan;

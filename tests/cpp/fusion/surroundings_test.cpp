@@ -16,6 +16,7 @@
 #include "malus/fusion/surroundings_internal.h"
 #include "quick_refinement.h"
 #include "synthetic_station.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -246,6 +247,72 @@ TEST(Surroundings, AMetalIsFoundAndRefinedFromBrightnessAndPolarization) {
     return warning.find("taken for bare metal") != std::string::npos;
   }));
   EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
+}
+
+bool says(const RefineResult& result, const std::string& words) {
+  return std::ranges::any_of(result.surface.warnings,
+                             [&](const std::string& warning) { return warning.find(words) != std::string::npos; });
+}
+
+/// Without the statement, a stated kind of reflection excludes metals.
+TEST(Surroundings, AStatedMetalIsTakenWhereNoneWouldBeFound) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  const SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  RefineInput input;
+  input.reflection = ReflectionChoice::specular;
+  const RefineResult without = refine(station.state, station.prior, input, quick(), Context{});
+  EXPECT_EQ(without.report.metal_index, 0.0);
+  EXPECT_FALSE(without.report.stated_metal);
+  input.metal = "0.63+3.19i";
+  const RefineResult stated = refine(station.state, station.prior, input, quick(), Context{});
+  EXPECT_EQ(stated.report.metal_index, std::complex(0.63, 3.19));
+  ASSERT_TRUE(stated.report.stated_metal);
+  EXPECT_LT(stated.report.stated_metal->intensity_error, 0.15);
+  EXPECT_GT(stated.report.trusted_share, 0.5);
+  EXPECT_TRUE(says(stated, "as optics.metal states"));
+  EXPECT_FALSE(says(stated, "contradict optics.metal"));
+  EXPECT_LT(step_error(stated.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
+}
+
+/// A metal whose brightness varies from pixel to pixel, as no map of the surroundings explains.
+TEST(Surroundings, AStatedMetalThatTheBrightnessContradictsIsTakenWithAWarning) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  for (int v = 0; v < scene.size.height; ++v) {
+    for (int u = 0; u < scene.size.width; ++u)
+      station.state.i_un(u, v) *= 0.2F + 0.4F * static_cast<float>((u + 2 * v) % 5);
+  }
+  EXPECT_EQ(refine(station.state, station.prior, {}, quick(), Context{}).report.metal_index, 0.0);
+  RefineInput input;
+  input.metal = "bronze";
+  const RefineResult stated = refine(station.state, station.prior, input, quick(), Context{});
+  EXPECT_EQ(stated.report.metal_index, std::complex(0.519, 2.415));
+  EXPECT_GT(stated.report.stated_metal->intensity_error, 0.25);
+  EXPECT_TRUE(says(stated, "contradict optics.metal"));
+  EXPECT_NE(stated.surface.confidence.level, ConfidenceLevel::high);
+}
+
+TEST(Surroundings, AnObjectThatIsStatedToBeNoMetalIsNotTakenForOne) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  const SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  RefineInput input;
+  input.metal = "none";
+  const RefineResult result = refine(station.state, station.prior, input, quick(), Context{});
+  EXPECT_EQ(result.report.metal_index, 0.0);
+  EXPECT_FALSE(says(result, "taken for bare metal"));
+}
+
+TEST(Surroundings, AStatedMetalThatContradictsTheReflectionIsRefused) {
+  const SyntheticStation station = make_station({});
+  RefineInput input;
+  input.metal = "bronze";
+  input.reflection = ReflectionChoice::diffuse;
+  expect_error(
+      ErrorCode::input, [&] { refine(station.state, station.prior, input, quick(), Context{}); },
+      "optics.metal = \"bronze\"", "reflection = \"diffuse\"");
 }
 
 TEST(Surroundings, AMetalFartherFromThePriorThanItsErrorsKeepsThePrior) {
