@@ -74,11 +74,13 @@ void bind_fusion(py::module_& module) {
              });
   module.def("refine",
              [](const PolarizationState& state, const DepthPrior& prior, std::optional<double> refractive_index,
-                const std::string& reflection, const std::optional<Mask>& labels, const Options& options, int threads) {
+                const std::string& reflection, const std::optional<Mask>& labels, const std::string& metal,
+                const Options& options, int threads) {
                RefineInput input;
                input.refractive_index = refractive_index;
                input.reflection = reflection_choice(reflection, labels.has_value());
                if (labels) input.labels = *labels;
+               input.metal = metal;
                return computed(threads, [&](const Context& context) {
                  return assessed(refine(state, prior, input, options.refine, context).surface, prior, state, context);
                });

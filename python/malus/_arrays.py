@@ -161,6 +161,19 @@ def as_labels(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[n
     return np.ascontiguousarray(array, np.uint8)
 
 
+def as_metal(metal: str | Sequence[float]) -> str:
+    """The metal as a text of the station file; the pair (n, k) of a refractive index becomes "n+ki"."""
+    if isinstance(metal, str):
+        return metal
+    index = as_numbers(metal, "metal")
+    if index.shape != (2,):
+        raise ValueError(
+            f"metal has shape {index.shape}, expected a word or the two numbers n and k of a refractive index"
+        )
+    n, k = index.tolist()
+    return f"{n}+{k}i"
+
+
 def as_reflection(values: str | ArrayLike, shape: tuple[int, ...]) -> tuple[str, NDArray[np.uint8] | None]:
     """The kind of reflection of all pixels by its name, or "labels" and the label of each pixel (see `as_labels`)."""
     return (values, None) if isinstance(values, str) else ("labels", as_labels(values, "reflection", shape))

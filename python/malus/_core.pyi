@@ -417,6 +417,7 @@ def refine(
     refractive_index: float | None,
     reflection: str,
     labels: _Bytes | None,
+    metal: str,
     options: str,
     threads: int,
 ) -> FusedSurface: ...

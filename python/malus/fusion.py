@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_reflection
+from malus._arrays import as_metal, as_reflection
 from malus._core import DepthPrior, FusedSurface, HeightMap, PolarizationState, ReflectionMap
 from malus.options import Options
 from malus.threads import ALL_CORES
@@ -46,17 +48,20 @@ def refine(
     *,
     refractive_index: float | None = 1.5,
     reflection: str | ArrayLike = "auto",
+    metal: str | Sequence[float] = "auto",
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
 
     reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide). Anything but "auto"
-    excludes the map of the surroundings and bare metal.
+    excludes the map of the surroundings, and that the object is taken for bare metal unless `metal` states it.
+    metal: "auto", "none", the name of the bare metal that the whole object is of (docs/station-file.md), or the two numbers n and
+    k of its refractive index.
 
     The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted, by
     refinement and comparison with the prior; the functions of malus.evidence say whether prior and images fit each other.
     `status` says how the solver ended, and `warnings` lists its warnings.
     """
     name, labels = as_reflection(reflection, state.degree.shape)
-    return _core.refine(state, prior, refractive_index, name, labels, (options or Options()).to_json(), threads)
+    return _core.refine(state, prior, refractive_index, name, labels, as_metal(metal), (options or Options()).to_json(), threads)

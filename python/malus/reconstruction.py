@@ -275,7 +275,7 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
             hashlib.sha256(images[name].tobytes()).hexdigest() for name in ("unpolarized", "degree", "phase_rad")
         ],
         "noise": [description[name] for name in ("frames_averaged", "full_well_e", "read_noise_e")],
-        "optics": [description[name] for name in ("refractive_index", "reflection", "light")],
+        "optics": [description[name] for name in ("refractive_index", "reflection", "light", "metal")],
         "labels": description["labels_sha256"] if label is None else sha256_of(Path(label)),
         "options": {name: value for name, value in settings.items() if name not in ("assess", "surface")},
     }

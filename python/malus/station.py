@@ -45,6 +45,7 @@ class OpticsValues(TypedDict, total=False):
     refractive_index: float | Literal["auto"]
     reflection: str
     light: Sequence[float]
+    metal: str | Sequence[float]
 
 
 class PlaneValues(TypedDict):
@@ -165,6 +166,7 @@ class Station:
         unit: str = "mm",
         refractive_index: float | None = 1.5,
         reflection: str | ArrayLike = "auto",
+        metal: str | Sequence[float] = "auto",
         frames_averaged: int = 1,
         full_well_e: float | None = None,
         read_noise_e: float | None = None,
@@ -189,6 +191,7 @@ class Station:
         give the camera's pose, too. The polarization maps and the height from them need neither prior nor camera (None);
         everything else does. prior_sigma: standard deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object.
         refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide) as taken.
+        metal: "auto", "none", the bare metal's name or the two numbers of its index n + i k.
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
         channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
@@ -205,11 +208,7 @@ class Station:
         tables = {
             "station": {"name": name, "unit": unit},
             "polarized": {"angles_deg": _angles(angles_deg, len(stack)), **noise, **(polarized or {})},
-            "optics": {
-                "refractive_index": "auto" if refractive_index is None else refractive_index,
-                "reflection": reflection if labels is None else "auto",
-                **(optics or {}),
-            },
+            "optics": _optics(refractive_index, reflection if labels is None else "auto", metal) | dict(optics or {}),
             "object": object,
             "prior": prior if prior_sigma is None else {**(prior or {}), "sigma": prior_sigma},
             "photos": None if photos is None else _with_absolute_folders(photos),
@@ -312,6 +311,12 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     if angles.shape != (count,):
         raise ValueError(f"angles_deg has shape {angles.shape}, expected ({count},): one angle per image")
     return angles
+
+
+def _optics(refractive_index: float | None, reflection: Any, metal: str | Sequence[float]) -> dict[str, Any]:
+    """[optics] by the arguments."""
+    index = "auto" if refractive_index is None else refractive_index
+    return {"refractive_index": index, "reflection": reflection, "metal": metal}
 
 
 def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:

@@ -65,6 +65,7 @@ CHANGES = st.sampled_from(
         ("angles_deg = [", "angle_zero_deg = 40.0\nangles_deg = ["),
         ("[polarized]", '[polarized]\nmask = "gt/hole.png"'),
         ("refractive_index = 1.5", "refractive_index = 1.9"),
+        ("refractive_index = 1.5", 'metal = "bronze"'),
         ("tvec = [0.0, 0.0, 0.0]", "tvec = [0.6, -0.3, 0.0]"),
         ("tvec = [0.0, 0.0, 0.0]", "tvec = [0.0, 0.0, 2.0]"),
     ]

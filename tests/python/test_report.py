@@ -571,6 +571,9 @@ def test_without_height_from_polarization_the_reason_is_stated(copied: tuple[Pat
     # The index 1.5 of a dielectric has no part in a metal's surface.
     index = text.split(">refractive index</abbr>")[1].split("</tr>")[0]
     assert re.sub("<.*?>", "", index) == "about 0.63 + 3.19 i, a metal's"
+    quality["refinement"]["metal"]["stated"] = {"intensity_error": 0.1, "stokes_cost": 1, "dielectric_stokes_cost": 1}
+    index = reported(work, quality).split(">refractive index</abbr>")[1].split("</tr>")[0]
+    assert re.sub("<.*?>", "", index) == "0.63 + 3.19 i, of the stated metal"
 
 
 def test_what_nothing_tells_is_not_shown_as_given(copied: tuple[Path, dict[str, Any]]) -> None:

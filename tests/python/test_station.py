@@ -61,6 +61,7 @@ frames_averaged = 4
 refractive_index = 1.6
 reflection = "diffuse"
 light = [0.1, 0.2, -1]
+metal = "none"
 
 [camera]
 model = "PINHOLE"
@@ -98,8 +99,8 @@ def pictures() -> list[np.ndarray]:
 
 def in_memory(pictures: list[np.ndarray], **changes: Any) -> malus.Station:
     values: dict[str, Any] = {
-        "name": "words", "unit": "cm", "refractive_index": 1.6, "reflection": "diffuse", "frames_averaged": 4,
-        **WORDS, **changes,
+        "name": "words", "unit": "cm", "refractive_index": 1.6, "reflection": "diffuse", "metal": "none",
+        "frames_averaged": 4, **WORDS, **changes,
     }  # fmt: skip
     return malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **values)
 
@@ -191,6 +192,10 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
         ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
         ({"optics": {"reflection": "matte"}}, r"\[optics\].reflection.*file of a label image"),
+        ({"metal": "bronz"}, r"\[optics\].metal = \"bronz\", expected .*\"bronze\""),
+        ({"metal": [0.7, 0.0]}, r"\[optics\].metal.*k from 0.5 to 20"),
+        ({"metal": "bronze"}, r"\[optics\].metal.*reflection = \"diffuse\""),
+        ({"metal": (0.7, 2.6), "reflection": np.ones(SIZE)}, r"\[optics\].metal.*labels of the reflection"),
         ({"patches": [{"box": [0, 0, 60, 3]}]}, r"\[\[patch\]\] 1.box.*60 x 40"),
         ({"profiles": [{"from": [0, 0]}]}, r"\[\[profile\]\] 1.to"),
         ({"scale": [{"distance": 3}]}, r"needs \[photos\]"),
@@ -280,6 +285,7 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
         inputs(reflection=np.ones(SIZE, np.uint8)),
         inputs(reflection=np.zeros(SIZE, np.uint8)),
         inputs(optics={"light": [0.3, 0.2, -1.0]}),
+        inputs(metal="auto"),
         inputs(maps={**zeros, "degree": np.ones(SIZE, np.float32)}),
         inputs(options=malus.Options(refine={"prior_weight": 2.0})),
     ]
@@ -386,6 +392,22 @@ def test_polarization_needs_no_camera(pictures: list[np.ndarray]) -> None:
 def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
     with pytest.raises(malus.InputError, match="angles_deg: all angles lie within 6.3°.*radians"):
         malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
+
+
+def test_a_metal_is_stated_by_name_or_index(pictures: list[np.ndarray]) -> None:
+    assert in_memory(pictures, reflection="auto", metal="bronze").describe()["metal"] == "bronze"
+    assert in_memory(pictures, reflection="auto", metal=np.array([0.7, 2.6])).describe()["metal"] == "0.7+2.6i"
+
+
+def test_metals_of_page_and_documentation_are_those_of_the_parser(pictures: list[np.ndarray]) -> None:
+    with pytest.raises(malus.InputError) as refused:
+        in_memory(pictures, metal="?")
+    known = re.findall(r'"([a-z]+)"', str(refused.value))[2:]  # after "auto" and "none"
+    root = Path(__file__).parents[2]
+    page = (root / "python/malus/studio/static/station.js").read_text(encoding="utf-8")
+    assert re.findall(r"'(\w+)'", page.split("function metalChoice")[1].split("names = [")[1].split("]")[0]) == known
+    documented = (root / "docs/station-file.md").read_text(encoding="utf-8").split("| metal |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| (\w+) \| [\d.]+ \+ [\d.]+ i \|", documented, re.MULTILINE) == known
 
 
 def test_types_of_tables_have_the_keys_of_the_station_file(pictures: list[np.ndarray]) -> None:

@@ -312,6 +312,12 @@ def test_a_stated_reflection_on_arrays(dome: Dome) -> None:
             step(dome.state, reflection="matte")
         with pytest.raises(ValueError, match=r"reflection has shape \(3, 3\), expected \(96, 96\)"):
             step(dome.state, reflection=np.ones((3, 3)))
+    with pytest.raises(malus.InputError, match='optics.metal = "bronz", expected .*"bronze"'):
+        malus.fusion.refine(dome.state, prior, metal="bronz")
+    with pytest.raises(malus.InputError, match=r'optics.metal = "0.7\+2.6i", expected .* reflection = "diffuse"'):
+        malus.fusion.refine(dome.state, prior, metal=(0.7, 2.6), reflection="diffuse")
+    with pytest.raises(ValueError, match=r"metal has shape \(3,\), expected a word or the two numbers n and k"):
+        malus.fusion.refine(dome.state, prior, metal=[0.7, 2.6, 0.0])
 
 
 def test_height_may_start_from_a_prior_on_arrays(dome: Dome) -> None:

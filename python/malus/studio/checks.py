@@ -24,7 +24,7 @@ _FIELDS = (
     ("scale", r"\[\[scale\]\]|distance|unit"),
     ("patch", r"\[\[patch\]\]|patch"),
     ("profile", r"\[\[profile\]\]|profile"),
-    ("optics", r"refractive|reflection|label"),
+    ("optics", r"refractive|reflection|label|metal"),
 )
 
 

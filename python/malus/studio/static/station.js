@@ -158,7 +158,17 @@ function imagesGroup() {
     text('response', 'White level', 'polarized', 'white_level', { kind: 'number', placeholder: 'full scale', help: 'Pixel value at which the sensor saturates, if it is not the full scale of the file.' }),
     drawn('mask', 'Mask', under('polarized', 'mask') ?? 'none: the whole image is the object', 'mask'),
     text('optics', 'Refractive index', 'optics', 'refractive_index', { kind: typeof index === 'string' ? 'text' : 'number', placeholder: '1.5', help: 'About 1.5 for stone, glaze, varnish, glass and most plastics.' }),
-    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided for each region'], ['diffuse', 'diffuse (matte)'], ['specular', 'specular (glossy)']], setReflection, 'Regions can be painted under Draw.'));
+    choice('optics', 'Reflection', under('optics', 'reflection') ?? 'auto', [['auto', 'decided for each region'], ['diffuse', 'diffuse (matte)'], ['specular', 'specular (glossy)']], setReflection, 'Regions can be painted under Draw.'),
+    metalChoice());
+}
+
+// What bare metal the object is. A file can also state a refractive index, as a list or a text.
+function metalChoice() {
+  const metal = under('optics', 'metal') ?? 'auto';
+  const names = ['silver', 'gold', 'copper', 'bronze', 'brass', 'iron', 'lead', 'tin', 'aluminum'];
+  return choice('optics', 'Bare metal', Array.isArray(metal) ? `${metal[0]}+${metal[1]}i` : metal,
+    [['auto', 'found by the images'], ['none', 'no'], ...names.map((name) => [name, name])],
+    (value) => set([{ table: 'optics', key: 'metal', value }]), 'Whether the whole object is bare metal, without lacquer, paint or thick patina.');
 }
 
 const PRIORS = { cloud: 'point cloud', mesh: 'mesh', depth: 'depth map' };
