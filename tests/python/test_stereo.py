@@ -149,6 +149,7 @@ def test_station_is_swept_again_about_the_fused_surface_once(
 
     first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == fusions
+    assert "seconds" in first.times and "seconds" not in str(first.figures), "quality.json contains no times"
     np.testing.assert_array_equal(first.depth, second.depth)
     assert (first.shape is None) == (fusions == 0)
     if first.shape is not None:
