@@ -63,17 +63,18 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
 }
 
 /// The station with the camera and, after the sweep, the prior from its photos, with the photogrammetry's figures for
-/// the report. swept: the rasters of a SweptDepth by name, without those that are empty.
+/// the report. swept: the rasters of a SweptDepth by name, without those that are empty. files: Photogrammetry::files.
 Station with_photogrammetry(Station station, const CameraValues& camera,
                             std::optional<std::map<std::string, Image<float>>>& swept, const std::string& figures,
-                            const std::string& times, const std::vector<std::string>& warnings) {
+                            const std::string& times, const std::vector<std::string>& warnings,
+                            const std::map<std::filesystem::path, std::string>& files) {
   const auto [lens, pose] = to_camera(camera, "camera");
   station.file.camera = CameraSpec{lens, pose};
   if (swept) {
     const auto take = [&](const char* name) { return std::move((*swept)[name]); };
     station.prior = SweptDepth{take("depth"), take("sigma"), take("shape"), take("hull"), take("hull_sigma")};
   }
-  station.photogrammetry = Photogrammetry{figures, times, warnings};
+  station.photogrammetry = Photogrammetry{figures, times, warnings, files};
   return station;
 }
 
@@ -199,7 +200,7 @@ void bind_run(py::module_& module) {
       .def("with_curves_of", &with_curves_of, py::arg("pixels"))
       .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("swept"), py::arg("figures"),
-           py::arg("times"), py::arg("warnings"));
+           py::arg("times"), py::arg("warnings"), py::arg("files"));
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");
   module.def("photos_tables", [](const std::string& path) {
     const StationFile file = read_photos_tables(path);

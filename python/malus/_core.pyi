@@ -1,6 +1,7 @@
 """Types of the private extension; see the package's own modules for documentation."""
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,7 @@ class Station:
         figures: str,
         times: str,
         warnings: list[str],
+        files: dict[Path, str],
     ) -> Station: ...
 
 class Results: ...

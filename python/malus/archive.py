@@ -7,7 +7,6 @@ The catalog entries come from [object] in the station file, the data of the capt
 
 from __future__ import annotations
 
-import hashlib
 import json
 import mimetypes
 import os
@@ -27,10 +26,6 @@ from malus._extra import extra
 from malus._files import replacing, scratch_folder, sha256_of
 from malus.errors import InputError
 from malus.lengths import shown
-from malus.photogrammetry.photos import photos_of
-from malus.raw import is_raw, name_of
-from malus.scans import is_scan, read_scan
-from malus.station import Station
 from malus.workspace import Workspace
 
 #: [object] key → term of schema.org that RO-Crate uses, and element of Dublin Core.
@@ -82,42 +77,11 @@ def _inputs(workspace: Workspace) -> dict[str, _Input | None]:
     file = here if here.is_file() else Path(station["file"])
     files: dict[str, _Input | None] = {}
     for name, sha256 in {**workspace.manifest["inputs"], file.name: station["says"]["sha256"]}.items():
-        path = file.parent / name
+        path = Path(os.path.normpath(file.parent / name))  # ".." in a recorded name does not follow links
         if not path.suffix and not path.is_file():  # an array ("prior points"): given, or read by Python
             files[name] = None
             continue
         files[name] = _as_read(path, sha256)
-    return {**_files_behind_arrays(workspace, file), **files}
-
-
-def _files_behind_arrays(workspace: Workspace, file: Path) -> dict[str, _Input]:
-    """The files that Python reads for the steps: RAW files, scanner clouds, photographs; InputError if one was changed since the run."""
-    says = Station.load(file).describe()  # the manifest lists the developed images instead of the RAW files
-    inputs = workspace.manifest["inputs"]
-    developed = [PurePosixPath(name).name for name in inputs]
-    files: dict[str, _Input] = {}
-    for path in map(Path, says["files"]):
-        _require_there(path)
-        if is_scan(path):
-            points, normals = read_scan(path, says["unit"])
-            read = {"prior points": points.tobytes(), "prior normals": b"" if normals is None else normals.tobytes()}
-            is_as_read = all(hashlib.sha256(content).hexdigest() == inputs.get(name) for name, content in read.items())
-        elif is_raw(path):
-            is_as_read = any(name.startswith(name_of(path, path.read_bytes())) for name in developed)
-        else:
-            is_as_read = True  # read by the C++ library: `_inputs` compares the checksum in the manifest
-        if not is_as_read:
-            raise _changed(path)
-        files[os.path.relpath(path, file.parent)] = _Input(path, sha256_of(path))
-    figures = workspace.quality.get("photogrammetry")
-    if "photos" in says and figures:  # with a prior of its own the photographs were not used
-        for name, sha256 in figures["files"].items():
-            path = Path(says["photos"]["folder"]) / name
-            files[os.path.relpath(path, file.parent)] = _as_read(path, sha256)
-        masks = (workspace.quality.get("sweep") or {}).get("mask_files", {})
-        for photo in photos_of(says["photos"]) if masks else []:
-            if photo.mask is not None and photo.name in masks:
-                files[os.path.relpath(photo.mask, file.parent)] = _as_read(photo.mask, masks[photo.name])
     return files
 
 

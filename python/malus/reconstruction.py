@@ -219,7 +219,7 @@ def _with_photos(
 
     def fuse(first: photogrammetry.Swept) -> photogrammetry.FusedOnce:
         """Fuse in memory: the workspace holds the steps of the fusion with the last sweep, which repeat the warnings of this one."""
-        core = station.with_photogrammetry(lens.values(), first.rasters(), "{}", "{}", [])
+        core = station.with_photogrammetry(lens.values(), first.rasters(), "{}", "{}", [], {})
         outcome = _core.reconstruct(
             core, options.to_json(), threads, until="fuse", known=images["results"],
             progress=lambda step, fraction, _: report("sweep", fraction, f"fusing for a better sweep: {step}"),
@@ -247,7 +247,7 @@ def _with_photos(
             lens = replace(camera_of(description["camera"]), rotation=lens.rotation, translation=lens.translation)
         else:
             # Now that the lens is known, the images can be undistorted.
-            placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [])
+            placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [], {})
             images = run(placed, "polarization")
         swept = photogrammetry.sweep_station(
             cameras,
@@ -263,7 +263,10 @@ def _with_photos(
         )
     figures = {**cameras.figures, "sweep": swept.figures}
     times = {"photos": cameras.times, "sweep": swept.times}
-    return station.with_photogrammetry(lens.values(), swept.rasters(), json.dumps(figures), json.dumps(times), warnings)
+    masks: dict[Path, str] = {} if swept.hull is None else swept.hull.masks
+    return station.with_photogrammetry(
+        lens.values(), swept.rasters(), json.dumps(figures), json.dumps(times), warnings, masks
+    )
 
 
 def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Options) -> dict[str, Any]:

@@ -581,6 +581,7 @@ def test_a_height_that_cannot_be_computed_is_said_to_be_none(tiny_station: Path,
     assert (
         outcome.code == 0 and f"there is no height from polarization, height/height.tif is empty: {why}" in outcome.err
     )
+    assert any(why in warning for warning in malus.Workspace(work).manifest["warnings"])
     options = malus.Options(light={"min_tangential": 0.5})
     kept = malus.reconstruct(malus.Station.load(tiny_station), options, workspace=work, until="height")
     assert any(why in warning for warning in kept.warnings)

@@ -25,7 +25,7 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_here, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, diagnosis, photo_cameras, scale, station_pose
+from malus.photogrammetry import database, diagnosis, front_end, photo_cameras, scale, station_pose
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
@@ -259,18 +259,23 @@ def test_a_folder_is_free_again_though_a_forked_child_lives(tmp_path: Path) -> N
     assert done.out == "free\n", done.err
 
 
+def placed_lens(station: Path) -> package.Camera:
+    """The camera of the small station, which its COLMAP model places."""
+    _, width, height, params, rotation, translation = (
+        _core.ColmapModel.read(str(station.parent / "sparse")).images()["station.jpg"][0]
+    )  # fmt: skip
+    return package.Camera("PINHOLE", width, height, params, rotation, translation)
+
+
 def test_unchanged_steps_are_run_once(small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A station without [camera], whose photos give the camera and the prior that its files gave before: the surface for the
     second sweep is made from the registered images, and a second run keeps every step.
     """
-    _, width, height, params, rotation, translation = (
-        _core.ColmapModel.read(str(small_station.parent / "sparse")).images()["station.jpg"][0]
-    )  # fmt: skip
+    lens = placed_lens(small_station)
     prior = package.reconstruct(package.Station.load(small_station), until="prior")
     edit(small_station, '[camera]\ncolmap_model = "sparse"\nimage = "station.jpg"\n', "")
     shutil.copytree(small_station.parent / "pol", small_station.parent / "views")
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "views"')
-    lens = package.Camera("PINHOLE", width, height, params, rotation, translation)
     views = small_station.parent / "views"
     figures = {"photogrammetry": {"files": {path.name: sha256_of(path) for path in views.iterdir()}}}
     surfaces = []
@@ -315,6 +320,43 @@ def test_unchanged_steps_are_run_once(small_station: Path, tmp_path: Path, monke
     assert stated["inputs/views/pol_030.tif"] == sha256_of(views / "pol_030.tif")
     (views / "pol_030.tif").write_bytes((views / "pol_060.tif").read_bytes())
     with pytest.raises(package.InputError, match=r"views/pol_030\.tif: was changed since"):
+        package.export(tmp_path / "work", "archive")
+
+
+def test_the_archive_of_a_station_of_an_object_has_photos_and_masks(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The [photos] stand in the object's file, without which the station's file has neither a pose nor a coarse surface."""
+    pytest.importorskip("rocrate")
+    pytest.importorskip("bagit")
+    folder, lens = small_station.parent, placed_lens(small_station)
+    prior = package.reconstruct(package.Station.load(small_station), until="prior")
+    assert prior.prior_depth is not None and prior.prior_sigma is not None
+    shutil.copytree(folder / "pol", folder / "views")
+    mask = folder / "masks/pol_030.png"
+    mask.parent.mkdir()
+    Image.new("L", (lens.width, lens.height), 255).save(mask)
+    (folder / "object.toml").write_text('[photos]\nfolder = "views"\nmasks = "masks"\n')
+    fx, fy, cx, cy = lens.params
+    params = f"params = [{fx}, {fy}, {cx + 0.5}, {cy + 0.5}]"
+    stated_lens = f'model = "PINHOLE"\nwidth = {lens.width}\nheight = {lens.height}\n{params}\n'
+    edit(small_station, 'colmap_model = "sparse"\nimage = "station.jpg"\n', stated_lens)
+    edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', "")
+    figures = {"photogrammetry": {"files": {path.name: sha256_of(path) for path in (folder / "views").iterdir()}}}
+    cameras = SimpleNamespace(station=lens, figures=figures, times={}, warnings=[])
+    hull = front_end.Hull(prior.prior_depth, prior.prior_sigma, {}, {mask: sha256_of(mask)})
+    swept = front_end.Swept(prior.prior_depth, prior.prior_sigma, None, {}, {}, hull)
+    monkeypatch.setattr(package.photogrammetry, "find_cameras", lambda *_, **__: cameras)
+    monkeypatch.setattr(package.photogrammetry, "sweep_station", lambda *_, **__: swept)
+    station = package.Station.load(small_station, photos_of=folder / "object.toml")
+    package.reconstruct(station, package.Options(refine=QUICK), workspace=tmp_path / "work")
+    with zipfile.ZipFile(package.export(tmp_path / "work", "archive")) as file:
+        graph = json.loads(file.read("small/data/ro-crate-metadata.json"))["@graph"]
+    stated = {entity["@id"]: entity.get("sha256") for entity in graph}
+    for name in ("views/pol_030.tif", "masks/pol_030.png"):
+        assert stated[f"inputs/{name}"] == sha256_of(folder / name)
+    Image.new("L", (lens.width, lens.height), 200).save(mask)
+    with pytest.raises(package.InputError, match=r"masks/pol_030\.png: was changed since"):
         package.export(tmp_path / "work", "archive")
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import malus
 from malus import _core
+from malus._files import sha256_of
 from malus.photogrammetry import StationCameras, front_end
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo
@@ -148,6 +149,7 @@ def test_station_is_swept_again_about_the_fused_surface_once(
 
     first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == fusions
+    assert "seconds" in first.times and "seconds" not in str(first.figures), "quality.json contains no times"
     np.testing.assert_array_equal(first.depth, second.depth)
     assert (first.shape is None) == (fusions == 0)
     if first.shape is not None:
@@ -253,6 +255,8 @@ def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path
     assert any("visual hull" in message for message in told)
     assert first.hull is not None and again.hull is not None
     assert first.hull.figures["masks"] == 24 and "photo_3.tif" in first.hull.figures["mask_files"]
+    assert first.hull.masks[tmp_path / "photo_3.png"] == sha256_of(tmp_path / "photo_3.png")
+    assert len(again.hull.masks) == 24
     np.testing.assert_array_equal(first.hull.depth, again.hull.depth)
     off = np.abs(first.hull.depth - truth)[np.isfinite(truth)]
     assert np.isfinite(off).mean() > 0.95

@@ -225,14 +225,21 @@ std::string failed_registration(const Exposures& exposures, const std::vector<Im
          ". If the camera did not move, set capture.registration = \"off\"";
 }
 
-/// Registration of every image; identity for those that stay unchanged. Adds images without texture to `unregistered`.
+/// Whether nothing is known of an image's place; it may still be where the first image is.
+bool has_no_place(RegistrationStatus status) {
+  return status == RegistrationStatus::no_texture || status == RegistrationStatus::uncertain ||
+         status == RegistrationStatus::strayed;
+}
+
+/// Registration of every image; identity for those that stay unchanged. Adds images whose place is not found to
+/// `unregistered`, where they may stay unchanged.
 std::vector<ImageRegistration> registrations(const Exposures& exposures, const CaptureOptions& options,
                                              std::vector<std::string>& unregistered, const Context& context) {
   auto results = register_images(exposures.images, exposures.noise, options.registration, context);
   for (std::size_t k = 1; k < results.size(); ++k) {
     ImageRegistration& result = results[k];
     const bool automatic = options.mode == RegistrationMode::automatic;
-    if (result.status == RegistrationStatus::no_texture && automatic) {
+    if (has_no_place(result.status) && automatic) {
       context.log(LogLevel::warning, exposures.names[k] + " is used without registration: " + result.message);
       unregistered.push_back(exposures.names[k]);
       continue;

@@ -40,7 +40,7 @@ struct PolarizedStack {
   std::vector<Affine> image_from_base;
   /// One standard deviation of the displacement left in image k [px] (ImageRegistration::rms_px); 0 if not registered.
   std::vector<double> registration_rms_px;
-  /// Names of images that are used without registration because they have no texture to register.
+  /// Names of images that are used without registration because their place is not found.
   std::vector<std::string> unregistered;
 };
 

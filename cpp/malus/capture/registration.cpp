@@ -32,6 +32,8 @@ constexpr std::size_t most_pixels = std::size_t{2} << 20;
 constexpr int interpolation_margin = 4;
 /// Least share of the gradients' energy that must be texture and not noise.
 constexpr double least_texture = 0.1;
+/// Moves that leave less than this share of the texture that the images have in common unmoved are wrong.
+constexpr double least_kept_texture = 0.5;
 /// Least regression of an image's band on the others' that still counts as the same scene.
 constexpr double least_similarity = 0.25;
 
@@ -172,15 +174,14 @@ class Level {
     return correlation(unmoved, shifted) > correlation(unmoved, identity_affine()) ? shifted : identity_affine();
   }
 
-  /// Uncertainty, texture and similarity at the given maps.
+  /// Uncertainty, texture and similarity at the given maps; RegistrationFigures explains them.
   struct Assessment {
     std::vector<double> rms_px, similarity;
-    double texture = 0;
+    double texture = 0, unmoved_texture = 0;
   };
   Assessment assess(const std::vector<Affine>& maps) const {
     const Normals normals = normal_equations(maps, true);
-    Assessment result{std::vector<double>(maps.size()), std::vector<double>(maps.size()), 0};
-    result.texture = normals.gradient_energy > 0 ? 1 - normals.noise_energy / normals.gradient_energy : 0;
+    Assessment result{std::vector<double>(maps.size()), std::vector<double>(maps.size()), normals.texture(), 0};
     const Eigen::LDLT<Matrix6> factor(normals.matrix);
     const Matrix6 inverse = factor.solve(Matrix6::Identity());
     for (std::size_t k = 1; k < maps.size(); ++k) {
@@ -191,6 +192,12 @@ class Level {
       }
       result.rms_px[k] = std::sqrt(mean_square_displacement(inverse * scatter * inverse, size_));
       result.similarity[k] = normals.others_energy[k] > 0 ? normals.products[k] / normals.others_energy[k] : 0;
+    }
+    const bool are_known =
+        std::ranges::all_of(result.rms_px, [this](double rms_px) { return rms_px <= options_.max_uncertainty_px; });
+    if (!are_known || !(result.texture >= least_texture)) {
+      const std::vector<Affine> unmoved(maps.size(), identity_affine());
+      result.unmoved_texture = normal_equations(unmoved, true).texture();
     }
     return result;
   }
@@ -205,6 +212,8 @@ class Level {
 
     explicit Normals(std::size_t images)
         : sides(images, Vector6::Zero()), products(images, 0.0), others_energy(images, 0.0) {}
+
+    double texture() const { return gradient_energy > 0 ? 1 - noise_energy / gradient_energy : 0; }
   };
 
   /// Rows of a block in every aligned image and in the images' mean: rows × images × BlockRow::length.
@@ -415,33 +424,6 @@ Pyramid coarser_levels(const std::vector<Image<float>>& images, const Context& c
   return pyramid;
 }
 
-/// Sets the status, and the message on why a displacement is not reliable.
-void set_status(ImageRegistration& result, double similarity, double texture, double last_step_px, Size size,
-                const RegistrationOptions& options) {
-  std::ostringstream message;
-  message.precision(3);
-  const double linear = (result.image_from_base.leftCols<2>() - Eigen::Matrix2d::Identity()).norm();
-  if (!(texture >= least_texture) || !(result.rms_px <= options.max_uncertainty_px)) {
-    result.status = RegistrationStatus::no_texture;
-    message << "too little texture: " << with_digits(100 * std::max(texture, 0.0), 3)
-            << " % of the contrast is not noise, displacement known to " << with_digits(result.rms_px, 3) << " px";
-  } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
-    result.status = RegistrationStatus::implausible;
-    message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "
-            << 100 * options.max_shift << " % of the image width";
-  } else if (!(similarity >= least_similarity)) {
-    result.status = RegistrationStatus::implausible;
-    message << "the image does not resemble the others (similarity " << similarity << ", 1 = alike)";
-  } else if (!(last_step_px <= 0.01)) {
-    result.status = RegistrationStatus::not_converged;
-    message << "its place was still changing, by " << last_step_px << " px, when the search ended";
-  } else {
-    result.status = RegistrationStatus::ok;
-  }
-  result.message = message.str();
-  if (result.status != RegistrationStatus::ok) result.image_from_base = identity_affine();
-}
-
 }  // namespace
 
 double affine_distance_px(const Affine& a, const Affine& b, Size size) {
@@ -450,6 +432,43 @@ double affine_distance_px(const Affine& a, const Affine& b, Size size) {
     sum += ((a - b).leftCols<2>() * corner + (a - b).col(2)).squaredNorm();
   }
   return std::sqrt(sum / 5);
+}
+
+void judge_registration(ImageRegistration& result, const RegistrationFigures& figures, Size size,
+                        const RegistrationOptions& options) {
+  std::ostringstream message;
+  message.precision(3);
+  const double linear = (result.image_from_base.leftCols<2>() - Eigen::Matrix2d::Identity()).norm();
+  const bool has_texture = figures.texture >= least_texture, is_known = result.rms_px <= options.max_uncertainty_px;
+  const auto shared = [](double texture) { return with_digits(100 * std::max(texture, 0.0), 3) + " %"; };
+  if ((!has_texture || !is_known) && figures.unmoved_texture >= least_texture &&
+      !(figures.texture >= least_kept_texture * figures.unmoved_texture)) {
+    result.status = RegistrationStatus::strayed;
+    message << "the search for the images' places went astray: where it moved them, " << shared(figures.texture)
+            << " of their contrast is common to all, where they were " << shared(figures.unmoved_texture);
+  } else if (!has_texture) {
+    result.status = RegistrationStatus::no_texture;
+    message << "too little texture: " << shared(figures.texture)
+            << " of the contrast is common to all images, the rest is noise";
+  } else if (!is_known) {
+    result.status = RegistrationStatus::uncertain;
+    message << "its place cannot be told: its displacement is known to " << with_digits(result.rms_px, 3)
+            << " px, expected " << with_digits(options.max_uncertainty_px, 3) << " px (capture.max_uncertainty_px)";
+  } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
+    result.status = RegistrationStatus::implausible;
+    message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "
+            << 100 * options.max_shift << " % of the image width";
+  } else if (!(figures.similarity >= least_similarity)) {
+    result.status = RegistrationStatus::implausible;
+    message << "the image does not resemble the others (similarity " << figures.similarity << ", 1 = alike)";
+  } else if (!(figures.last_step_px <= 0.01)) {
+    result.status = RegistrationStatus::not_converged;
+    message << "its place was still changing, by " << figures.last_step_px << " px, when the search ended";
+  } else {
+    result.status = RegistrationStatus::ok;
+  }
+  result.message = message.str();
+  if (result.status != RegistrationStatus::ok) result.image_from_base = identity_affine();
 }
 
 std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& images, const NoiseModel& noise,
@@ -496,7 +515,9 @@ std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& 
     results[k].image_from_base = maps[k];
     results[k].displacement_px = affine_distance_px(maps[k], identity_affine(), size);
     results[k].rms_px = assessment.rms_px[k];
-    set_status(results[k], assessment.similarity[k], assessment.texture, last_step_px, size, options);
+    judge_registration(results[k],
+                       {assessment.texture, assessment.unmoved_texture, assessment.similarity[k], last_step_px}, size,
+                       options);
   }
   return results;
 }

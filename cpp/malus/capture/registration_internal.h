@@ -15,9 +15,10 @@
 namespace malus {
 
 /// How the registration of one image ended.
-enum class RegistrationStatus { not_run, ok, no_texture, not_converged, implausible };
+enum class RegistrationStatus { not_run, ok, no_texture, uncertain, strayed, not_converged, implausible };
 constexpr auto names_of(RegistrationStatus) {
-  return std::to_array<std::string_view>({"not run", "ok", "no texture", "not converged", "implausible"});
+  return std::to_array<std::string_view>(
+      {"not run", "ok", "no texture", "uncertain", "strayed", "not converged", "implausible"});
 }
 
 /// Registration of one image to the first.
@@ -33,6 +34,19 @@ struct ImageRegistration {
 
   MALUS_FIELDS(status, message, image_from_base, displacement_px, rms_px)
 };
+
+/// What a search for the places of all images tells of one of them.
+struct RegistrationFigures {
+  double texture = 0;          ///< share of the contrast that all images have in common at the places found
+  double unmoved_texture = 0;  ///< the same without any move; 0 = not computed, as the moves are not in doubt
+  double similarity = 0;       ///< regression of the image on the others, 1 = alike
+  double last_step_px = 0;     ///< of the search
+};
+
+/// Sets the status, and the message on why a displacement is not reliable; such an image gets the identity. `result`
+/// has the map, the displacement and its standard deviation that the search found.
+void judge_registration(ImageRegistration& result, const RegistrationFigures& figures, Size size,
+                        const RegistrationOptions& options);
 
 /// Registers linear images of one size to the first, by 6-parameter affine maps, all together.
 ///

@@ -21,7 +21,7 @@ enum : ttag_t {
   tag_geo_doubles = 34736,
   tag_geo_ascii = 34737,
   tag_gdal_metadata = 42112,
-  tag_gdal_nodata = 42113
+  tag_gdal_nodata = codecs::gdal_nodata_tag
 };
 
 enum GeoKey : std::uint16_t {

@@ -26,6 +26,9 @@ struct ImageHeader {
 /// What a decoder does with an alpha channel: none in the result, or the last one of the result, if the file has one.
 enum class Alpha { dropped, kept };
 
+/// TIFF tag of GDAL: the value that stands for "no data", a number as text.
+inline constexpr std::uint32_t gdal_nodata_tag = 42113;
+
 /// Called with the header before pixels are decoded; throws when the pixels are not wanted or cannot be in the file.
 using HeaderCheck = std::function<void(const ImageHeader&)>;
 

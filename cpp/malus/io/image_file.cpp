@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <set>
 #include <stdexcept>
 #include <string_view>
@@ -103,6 +104,23 @@ Image<float> brightest_over_black(const Image<float>& pixels) {
   return brightest;
 }
 
+/// Makes NaN of the value that GDAL's nodata tag names; `text`: the tag's.
+void clear_no_data(Image<float>& pixels, std::string_view text, const std::string& name) {
+  const auto is_printable = [](unsigned char c) { return c >= ' ' && c <= '~'; };
+  text.remove_prefix(std::min(text.find_first_not_of(' '), text.size()));
+  text = text.substr(0, text.find_last_not_of(' ') + 1);
+  double number = 0;
+  if (!parse_number(text, number)) {
+    const bool is_shown = !text.empty() && text.size() <= 60 && std::ranges::all_of(text, is_printable);
+    throw input_error(name + " has a GDAL nodata tag (42113)" +
+                      (is_shown ? " = \"" + std::string(text) + "\"" : " that is damaged") +
+                      ", expected the number that stands for pixels without a value; set it anew, or remove the tag");
+  }
+  // Samples of 64 bits were rounded in the same way.
+  const auto hole = static_cast<float>(number);
+  std::ranges::replace(pixels, hole, std::numeric_limits<float>::quiet_NaN());
+}
+
 }  // namespace
 
 RawImage read_image(const std::filesystem::path& path, const std::string& what) {
@@ -192,6 +210,7 @@ Image<float> read_float_raster(const std::filesystem::path& path, const std::str
     throw input_error(name_of(what, path) + " has " + std::to_string(image.bits) +
                       "-bit integer samples, expected a floating-point TIFF");
   }
+  if (image.no_data) clear_no_data(image.pixels, *image.no_data, name_of(what, path));
   return std::move(image.pixels);
 }
 

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -14,6 +15,8 @@ namespace malus {
 struct RawImage {
   Image<float> pixels;  ///< digital numbers (DN); 1 channel, or 3 in the order R, G, B
   int bits = 0;         ///< of a sample: 8 or 16, or 32 or 64 in floating-point files
+  /// Text of GDAL's tag for the value that stands for "no data", of a TIFF that has it; empty if it cannot be read.
+  std::optional<std::string> no_data = {};
 
   bool is_float() const { return bits > 16; }
   /// White of the format: 255 or 65535; 1 for floating-point files.
@@ -55,8 +58,9 @@ Mask read_mask(const std::filesystem::path& path);
 /// Values of an 8-bit one-channel image, unchanged (label images).
 Image<std::uint8_t> read_labels(const std::filesystem::path& path);
 
-/// Floating-point TIFF with 1 or 3 channels, values unchanged (NaN stays). Errors as read_image, and ErrorCode::input
-/// when the samples are not floating-point.
+/// Floating-point TIFF with 1 or 3 channels, values unchanged (NaN stays), but NaN for the value that GDAL's nodata tag
+/// names. Errors as read_image, and ErrorCode::input when the samples are not floating-point or that tag is no number:
+/// without it holes would pass for depths.
 Image<float> read_float_raster(const std::filesystem::path& path, const std::string& what = "raster");
 
 /// 32-bit float TIFF, 1 or 3 channels, uncompressed strips; BigTIFF from 4 GB. Atomic (see AtomicFile).

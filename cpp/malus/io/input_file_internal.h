@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -30,6 +31,15 @@ std::optional<T> number_of(std::string_view text) {
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   const bool is_number = error == std::errc() && end == text.data() + text.size();
   return is_number ? std::optional(value) : std::nullopt;
+}
+
+/// Sets `value` to the number that the whole word is, in C's notation; infinity if it is beyond the type's range. False
+/// if it is anything else.
+inline bool parse_number(std::string_view word, double& value) {
+  if (!word.empty() && word.front() == '+') word.remove_prefix(1);
+  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+  if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
+  return error != std::errc::invalid_argument && end == word.data() + word.size();
 }
 
 /// Replaces `words` by those of a line.

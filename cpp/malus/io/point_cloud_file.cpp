@@ -2,9 +2,7 @@
 #include <array>
 #include <bit>
 #include <cctype>
-#include <charconv>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <span>
 #include <utility>
@@ -171,13 +169,6 @@ class CloudBuilder {
   std::optional<double> color_scale_;
   std::size_t bad_ = 0, first_bad_ = 0;
 };
-
-bool parse_number(std::string_view word, double& value) {
-  if (!word.empty() && word.front() == '+') word.remove_prefix(1);
-  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
-  if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
-  return error != std::errc::invalid_argument && end == word.data() + word.size();
-}
 
 Error malformed_line(const InputFile& file, std::string_view line, const std::string& expected = "numbers") {
   return file.error("line " + std::to_string(file.line_number()) + " = \"" + std::string(line.substr(0, 60)) +

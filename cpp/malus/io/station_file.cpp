@@ -520,7 +520,7 @@ void read_camera(const TomlTable& document, const TomlTable& table, const std::o
     return;
   }
   if (!table.has("model")) {
-    if (station.photos && station.camera_image) return;
+    if (station.frame_is_of_photos() && station.camera_image) return;
     throw table.error("model", "is missing, expected colmap_model and image, or model, width, height and params");
   }
   const LensCamera lens = read_lens(table);
@@ -530,7 +530,7 @@ void read_camera(const TomlTable& document, const TomlTable& table, const std::o
     station.camera = CameraSpec{lens, *pose};
   } else if (!station.control.empty() && !station.frame_is_of_photos()) {
     resect_camera(document, lens, station);
-  } else if (station.photos) {
+  } else if (station.frame_is_of_photos()) {
     station.lens = lens;
   } else if (station.prior &&
              (std::holds_alternative<DepthFile>(*station.prior) || std::holds_alternative<Shape>(*station.prior))) {
@@ -539,7 +539,7 @@ void read_camera(const TomlTable& document, const TomlTable& table, const std::o
     throw table.error(
         "qvec",
         "is missing, expected qvec and tvec, or omega_phi_kappa_deg and center; only with [[control]] points, "
-        "[photos], or with a depth-map prior or a plane, sphere or cylinder can the pose be left out");
+        "[photos] and no [prior], or with a depth-map prior or a plane, sphere or cylinder can the pose be left out");
   }
 }
 
@@ -793,8 +793,10 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
   if (const auto table = document.section("camera", camera_keys)) read_camera(document, *table, images, station);
   const bool has_prior = station.prior || prior_in_memory;
-  if (has_prior && !station.camera && !station.photos) {
-    throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen");
+  if (has_prior && !station.camera) {
+    const std::string why_not_found = "; with [prior], the camera is not looked for in [photos]";
+    throw document.error("camera", "is missing, expected [camera], in whose view the prior is to be seen" +
+                                       (station.photos ? why_not_found : std::string()));
   }
   read_scale_bars(document, station, has_prior);
 

@@ -132,6 +132,21 @@ bool has_alpha(TIFF* tiff) {
          (kinds[0] == EXTRASAMPLE_ASSOCALPHA || kinds[0] == EXTRASAMPLE_UNASSALPHA);
 }
 
+/// RawImage::no_data.
+std::optional<std::string> read_no_data(TIFF* tiff) {
+  // libtiff does not know the tag. If the file has it, it is a field of the type that the file states, with its length.
+  const TIFFField* field = TIFFFindField(tiff, gdal_nodata_tag, TIFF_ANY);
+  if (field == nullptr) return std::nullopt;
+  std::uint32_t length = 0;
+  const void* bytes = nullptr;
+  if (TIFFFieldDataType(field) != TIFF_ASCII || TIFFFieldPassCount(field) == 0 ||
+      TIFFGetField(tiff, gdal_nodata_tag, &length, &bytes) == 0 || bytes == nullptr) {
+    return "";
+  }
+  const std::string_view text(static_cast<const char*>(bytes), length);
+  return std::string(text.substr(0, text.find('\0')));
+}
+
 Layout read_layout(TIFF* tiff, Alpha alpha) {
   Layout layout;
   const auto width = field<std::uint32_t>(tiff, TIFFTAG_IMAGEWIDTH, 0);
@@ -318,6 +333,7 @@ RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& che
   check({layout.size, layout.channels, most_pixels(layout, bytes.size())});
 
   RawImage image{Image<float>::uninitialized(layout.size, layout.channels), layout.bits};
+  image.no_data = read_no_data(tiff.get());
   read_blocks(tiff.get(), layout, error, image.pixels);
   if (layout.photometric == PHOTOMETRIC_MINISWHITE) {
     const auto white = static_cast<float>(image.full_scale_dn());

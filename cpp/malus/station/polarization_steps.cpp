@@ -107,8 +107,7 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
   return Finding{"registration",
                  Severity::caution,
                  "used without registration: " + std::to_string(count) + " of the " +
-                     std::to_string(stack.images.size()) +
-                     " polarized images, which show too little detail to be aligned",
+                     std::to_string(stack.images.size()) + " polarized images, whose places could not be found",
                  "if the camera did not move, capture.registration = \"off\" says so",
                  {}};
 }

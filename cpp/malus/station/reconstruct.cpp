@@ -24,17 +24,13 @@ Error no_prior(const Station& station) {
                      "`height` can be run");
 }
 
-/// Warns if the height that was asked for could not be computed, or was still changing at the end.
-void warn_of_height(Results& results, const Context& context) {
+/// Warning if the height that was asked for could not be computed, or was still changing at the end.
+std::optional<std::string> warning_of_height(const Results& results) {
   const auto height = results.get<HeightMap>();
-  if (!height || height->status == HeightStatus::converged) return;
-  std::string warning = "the height was still changing at the end; with a larger height.iterations it goes on";
-  if (height->status != HeightStatus::iteration_limit) {
-    warning =
-        "there is no height from polarization, height/height.tif is empty: " + std::string(enum_name(height->status));
-  }
-  context.log(LogLevel::warning, warning);
-  results.warnings.push_back("height: " + warning);
+  if (!height || height->status == HeightStatus::converged) return std::nullopt;
+  if (height->status == HeightStatus::iteration_limit)
+    return "the height was still changing at the end; with a larger height.iterations it goes on";
+  return "there is no height from polarization, height/height.tif is empty: " + std::string(enum_name(height->status));
 }
 
 /// Throws an input error that lists the steps unless a run can end with this step.
@@ -75,9 +71,9 @@ Results reconstruct(const Station& station, const Options& options, const RunOpt
   if (!station.has_prior() && (!run.until || steps.empty())) throw no_prior(station);
   if (std::ranges::any_of(steps, [](const Step* step) { return step->makes_type(typeid(DepthPrior)); }))
     require_camera(station.file);
-  Results results = StepRunner(step_table(), std::move(steps), station, options, run, context).run();
-  if (run.until == "height") warn_of_height(results, context);
-  return results;
+  // Other runs do not need the height; their report says what is missing.
+  const StepRunner::Closing closing = run.until == "height" ? warning_of_height : StepRunner::Closing();
+  return StepRunner(step_table(), std::move(steps), station, options, run, context).run(closing);
 }
 
 std::optional<SurfaceConfidence> surface_confidence(const std::filesystem::path& folder) {

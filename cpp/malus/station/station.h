@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
 #include <variant>
@@ -25,6 +26,8 @@ struct Photogrammetry {
   std::string figures_json;           ///< a JSON object; quality.json repeats its members
   std::string times_json = "{}";      ///< seconds of the photogrammetry's parts, for the manifest
   std::vector<std::string> warnings;  ///< "<step>: <sentence>"
+  /// Files that were read besides the photos, such as their masks, and their SHA-256.
+  std::map<std::filesystem::path, std::string> files = {};
 };
 
 /// One camera position with images taken through a linear polarizer, and what is known about the object: the content of

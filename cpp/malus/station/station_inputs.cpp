@@ -165,6 +165,8 @@ Json StationInputs::prior() {
 
 Json StationInputs::photos() {
   if (!station_.file.photos || !station_.photogrammetry) return nullptr;
+  // Recorded only: what the photogrammetry made of these files, such as the hull of masks, is part of the key itself.
+  for (const auto& [path, hash] : station_.photogrammetry->files) taken_->hashes[name_of(path)] = hash;
   const Json figures = Json::parse(station_.photogrammetry->figures_json);
   const Json::json_pointer place("/photogrammetry/files");
   if (!figures.contains(place)) return nullptr;

@@ -50,7 +50,7 @@ StepRunner::StepRunner(const std::vector<Step>& table, std::vector<const Step*> 
   }
 }
 
-Results StepRunner::run() {
+Results StepRunner::run(const Closing& closing) {
   // All inputs first, so that missing or unreadable files are reported before hours of work.
   std::vector<StationInputs::Values> values;
   for (const Step* step : steps_) values.push_back(inputs_.of(step->station));
@@ -66,7 +66,6 @@ Results StepRunner::run() {
       compute(k, key, values[k]);
     }
   }
-  if (workspace_) workspace_->set_info("warnings", warnings_->all);
   for (const Step* step : steps_) {
     for (const Part& part : step->makes) {
       if (run_.keep_maps || step == steps_.back()) result(part.type);
@@ -75,6 +74,10 @@ Results StepRunner::run() {
   if (!run_.keep_maps) {
     results_.drop_if([this](std::type_index type) { return !steps_.back()->makes_type(type); });
   }
+  if (closing) {
+    if (const std::optional<std::string> warning = closing(results_)) repeat("run", {*warning});
+  }
+  if (workspace_) workspace_->set_info("warnings", warnings_->all);
   results_.warnings = warnings_->all;
   return std::move(results_);
 }

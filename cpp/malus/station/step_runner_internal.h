@@ -2,6 +2,7 @@
 
 // Private to the station room: runs the steps of a table, or reads their results back if the workspace has them.
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -23,8 +24,12 @@ class StepRunner {
   StepRunner(const std::vector<Step>& table, std::vector<const Step*> steps, const Station& station,
              const Options& options, const RunOptions& run, const Context& context);
 
-  /// Runs the steps that are not done. RunOptions::keep_maps decides which results remain.
-  Results run();
+  /// Returns a warning about what a run has led to, if there is one.
+  using Closing = std::function<std::optional<std::string>(const Results&)>;
+
+  /// Runs the steps that are not done. RunOptions::keep_maps decides which results remain. A warning of `closing`
+  /// belongs to this run and to no step, because a run with other steps does not give it.
+  Results run(const Closing& closing = {});
 
  private:
   /// Whether the step's results exist with this key, in the workspace or, without a workspace, from an earlier run. If
@@ -32,7 +37,8 @@ class StepRunner {
   bool is_done(const Step& step, const std::string& key);
   /// The step's results of an earlier run in memory; nothing unless all of them exist with this key.
   std::optional<std::vector<std::shared_ptr<const void>>> known(const Step& step, const std::string& key) const;
-  /// Logs warnings that no running step logs: those of a step that is not repeated, or of the station itself.
+  /// Logs warnings that no running step logs: those of a step that is not repeated, of the station itself ("station"),
+  /// or of the run ("run").
   void repeat(const std::string& step, const std::vector<std::string>& warnings);
   /// The step's warnings of the earlier run in memory.
   std::vector<std::string> known_warnings(const std::string& step) const;

@@ -32,7 +32,7 @@ struct SweepInput {
   Image<float> surface, surface_sigma;
 };
 
-/// One sweep, for the report.
+/// One sweep, for programs that call it. No record has it: `seconds` differ between equal runs.
 struct SweepPassReport {
   int reduction = 1;      ///< side of the level's pixels, in pixels of the station's image
   int offsets = 0;        ///< tried at each pixel

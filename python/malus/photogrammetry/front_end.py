@@ -340,6 +340,8 @@ class Hull:
     """One standard deviation of depth."""
     figures: dict[str, Any]
     """`masks`: how many; `mask_files`: their SHA-256, by the images' names."""
+    masks: dict[Path, str]
+    """The masks' files and their SHA-256."""
 
 
 @dataclass(frozen=True)
@@ -440,7 +442,7 @@ class _Sweep:
 
         figures = self.journal.stage("hull", inputs, _HULL, found)
         depth, sigma = self._read(_HULL)
-        return Hull(depth, sigma, figures)
+        return Hull(depth, sigma, figures, {mask: hashes[f"mask of {name}"] for name, mask, _ in masked})
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):

@@ -100,6 +100,39 @@ TEST(Registration, noise_is_not_texture) {
   EXPECT_NE(results[1].message.find("texture"), std::string::npos);
 }
 
+/// What is said of an image that was moved by 9 px and whose place is known to `rms_px`.
+ImageRegistration judged(const RegistrationFigures& figures, double rms_px) {
+  ImageRegistration result;
+  result.image_from_base = similarity(registered_size, 0, 1, 9, 0);
+  result.displacement_px = 9;
+  result.rms_px = rms_px;
+  judge_registration(result, figures, registered_size, {});
+  return result;
+}
+
+TEST(Registration, a_search_that_goes_astray_is_not_called_a_lack_of_texture) {
+  // Nothing is left that all images show, or they are compared at wrong places.
+  for (const auto& [texture, rms_px] : {std::pair{0.0, std::nan("")}, std::pair{0.02, 0.1}, std::pair{0.2, 0.5}}) {
+    const ImageRegistration strayed = judged({texture, 0.85, 1, 0}, rms_px);
+    EXPECT_EQ(strayed.status, RegistrationStatus::strayed);
+    EXPECT_NE(strayed.message.find("went astray"), std::string::npos) << strayed.message;
+    EXPECT_NE(strayed.message.find("where they were 85 %"), std::string::npos) << strayed.message;
+    EXPECT_EQ(strayed.message.find("texture"), std::string::npos) << strayed.message;
+    EXPECT_EQ(strayed.image_from_base, identity_affine());
+  }
+}
+
+TEST(Registration, noise_and_a_place_that_cannot_be_told_are_told_apart) {
+  const ImageRegistration flat = judged({0.02, 0.03, 1, 0}, std::nan(""));
+  EXPECT_EQ(flat.status, RegistrationStatus::no_texture);
+  EXPECT_NE(flat.message.find("too little texture: 2 %"), std::string::npos) << flat.message;
+  EXPECT_EQ(flat.message.find("nan"), std::string::npos) << flat.message;
+  const ImageRegistration unsure = judged({0.8, 0.7, 1, 0}, 0.42);
+  EXPECT_EQ(unsure.status, RegistrationStatus::uncertain);
+  EXPECT_NE(unsure.message.find("known to 0.42 px, expected 0.3 px"), std::string::npos) << unsure.message;
+  EXPECT_EQ(judged({0.8, 0, 1, 0}, 0.01).status, RegistrationStatus::ok) << "the texture unmoved is not computed then";
+}
+
 TEST(Registration, flat_images_are_not_registered) {
   const auto results = register_images({3, Image<float>(registered_size, 1, 0.5f)}, NoiseModel{}, {}, Context{});
   EXPECT_EQ(results[2].status, RegistrationStatus::no_texture);

@@ -191,6 +191,74 @@ TEST(ImageFile, FloatTiffKeepsEveryBit) {
   }
 }
 
+/// Writes the depths 5, 9999, -9999 and 7 with GDAL's nodata tag of a type, from libtiff's value.
+template <class Sample, class Value>
+void write_with_no_data(const std::filesystem::path& path, TIFFDataType type, Value value) {
+  TIFF* tiff = TIFFOpen(path.c_str(), "w");
+  char name[] = "GDALNoDataValue";
+  const bool is_text = type == TIFF_ASCII;
+  const short count = is_text ? TIFF_VARIABLE : 1;
+  const TIFFFieldInfo field{42113, count, count, type, FIELD_CUSTOM, 1, 0, name};
+  TIFFMergeFieldInfo(tiff, &field, 1);
+  TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, 4);
+  TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, 1);
+  TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 1);
+  TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, static_cast<int>(8 * sizeof(Sample)));
+  TIFFSetField(tiff, TIFFTAG_SAMPLEFORMAT, SAMPLEFORMAT_IEEEFP);
+  TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+  TIFFSetField(tiff, 42113, value);
+  Sample row[] = {5, static_cast<Sample>(9999.1), -9999, std::numeric_limits<Sample>::max()};
+  ASSERT_EQ(TIFFWriteScanline(tiff, row, 0, 0), 1);
+  TIFFClose(tiff);
+}
+
+TEST(ImageFile, PixelsOfGdalsNoDataValueAreHoles) {
+  const TemporaryFolder folder;
+  const auto holes = [&] {
+    std::string found;
+    for (const float value : read_float_raster(folder / "depth.tif")) found += std::isnan(value) ? 'o' : '.';
+    return found;
+  };
+  // GDAL rounds the largest numbers of both types to 15 digits, beyond their range.
+  for (const auto& [text, expected] :
+       {std::pair{"9999.1", ".o.."}, std::pair{"-9999", "..o."}, std::pair{" +5.0e+00 ", "o..."},
+        std::pair{"nan", "...."}, std::pair{"0", "...."}, std::pair{"3.40282346638529e+38", "...o"}}) {
+    write_with_no_data<float>(folder / "depth.tif", TIFF_ASCII, text);
+    EXPECT_EQ(holes(), expected) << text;
+  }
+  write_with_no_data<double>(folder / "depth.tif", TIFF_ASCII, "9999.1");
+  EXPECT_EQ(holes(), ".o..");
+  write_with_no_data<double>(folder / "depth.tif", TIFF_ASCII, "1.79769313486232e+308");
+  EXPECT_EQ(holes(), "...o");
+}
+
+TEST(ImageFile, ADamagedNoDataValueIsAnErrorOfDepthsOnly) {
+  const TemporaryFolder folder;
+  const auto path = folder / "depth.tif";
+  const auto expect_refused = [&](const char* part) {
+    expect_error(
+        ErrorCode::input, [&] { read_float_raster(path, "prior depth map"); }, "prior depth map", "depth.tif",
+        "GDAL nodata tag (42113)", part);
+    EXPECT_EQ(read_image(path).pixels(0, 0), 5) << "other images have no holes";
+  };
+  write_with_no_data<float>(path, TIFF_ASCII, "none");
+  expect_refused("= \"none\", expected the number");
+  write_with_no_data<float>(path, TIFF_ASCII, "");
+  expect_refused("expected the number");
+  write_with_no_data<float>(path, TIFF_ASCII, "1\n2");
+  expect_refused("that is damaged");
+  write_with_no_data<float>(path, TIFF_DOUBLE, 5.0);
+  expect_refused("expected the number");
+  // The tag's text is said to lie beyond the end of the file.
+  write_with_no_data<float>(path, TIFF_ASCII, "-9999.125");
+  std::string bytes = read_file(path, "image");
+  const std::size_t entry = bytes.find("\x81\xa4\x02");
+  ASSERT_NE(entry, std::string::npos);
+  bytes[entry + 7] = '\x10';
+  folder.write("depth.tif", bytes);
+  expect_refused("that is damaged");
+}
+
 TEST(ImageFile, WritingATiffNeedsOneFileDescriptor) {
   const TemporaryFolder folder;
   const Image<float> raster({3, 2}, 1, 1.5F);

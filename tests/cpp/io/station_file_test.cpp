@@ -444,6 +444,17 @@ TEST_F(StationFileTest, CameraWithoutPose) {
   sections.rest.clear();
   sections.prior = "[prior]\ncloud = \"cloud.ply\"\n";
   rejects(sections, "camera", "is missing");
+  // With a surface of [prior] the photos do not give the pose.
+  sections.rest = "[photos]\nfolder = \"views\"\n";
+  rejects(sections, "camera", "is missing", "with [prior]");
+  sections.camera = "[camera]\nimage = \"1.jpg\"\n";
+  rejects(sections, "[camera].model", "is missing");
+  sections.camera = lens;
+  rejects(sections, "[camera].qvec", "is missing", "[photos] and no [prior]");
+  sections.prior = "[prior]\ndepth = \"depth.tif\"\n";
+  EXPECT_EQ(read(sections).camera->pose.rotation, Eigen::Matrix3d::Identity());
+  sections.camera.clear();
+  sections.rest.clear();
   sections.prior.clear();
   EXPECT_FALSE(read(sections).camera) << "no camera is needed for the polarization maps";
 }

@@ -183,6 +183,10 @@ TEST_F(StationInputsTest, FilesThatPythonReadsAreRecorded) {
   station_.prior = SweptDepth{Image<float>({2, 3}), Image<float>({2, 3}), {}};
   const auto swept = of(&StationInputs::prior);
   EXPECT_EQ(swept.hashes.at("views/a.jpg"), "12ab");
+  station_.photogrammetry->files = {{folder_ / "masks" / "a.png", "34cd"}};
+  const auto masked = of(&StationInputs::prior);
+  EXPECT_EQ(masked.hashes.at("masks/a.png"), "34cd");
+  EXPECT_EQ(masked.parts, swept.parts) << "the hull that was made of the masks is compared, not they";
   station_.photogrammetry->figures_json = "{}";
   EXPECT_NE(json(&StationInputs::prior), swept.parts);
 }

@@ -107,13 +107,13 @@ class StepRunnerTest : public testing::Test {
     while_reading = nullptr;
   }
 
-  Results run(const std::optional<std::string>& until = std::nullopt) {
+  Results run(const std::optional<std::string>& until = std::nullopt, const StepRunner::Closing& closing = {}) {
     ran_.clear();
     kept_.clear();
     logged_.clear();
     results_read_back.clear();
     return StepRunner(table(), steps_of_run(table(), station_, options_, until), station_, options_, run_, context_)
-        .run();
+        .run(closing);
   }
   Workspace::Json manifest() const { return Workspace::read_manifest(work_); }
   bool exists(const char* name) const { return std::filesystem::exists(work_ / name); }
@@ -337,6 +337,29 @@ TEST_F(StepRunnerTest, EveryRunRepeatsWarningsAboutTheStation) {
   const Results mended = run();
   EXPECT_TRUE(mended.warnings.empty());
   EXPECT_EQ(ran_, Names{"sum"}) << "the sum step reads the warnings";
+}
+
+TEST_F(StepRunnerTest, AWarningOfTheRunIsKeptWithoutAStep) {
+  const StepRunner::Closing closing = [](const Results& results) {
+    return std::optional("twice is " + std::to_string(static_cast<int>(results.get<Twice>()->value)));
+  };
+  const Names said{"twice is 6"}, prefixed{"run: " + said[0]};
+  for (const bool keep_maps : {true, false}) {
+    run_.keep_maps = keep_maps;
+    const Results results = run("twice", closing);
+    EXPECT_EQ(logged_, said);
+    EXPECT_EQ(results.warnings, prefixed) << "also if every step is kept";
+    EXPECT_EQ(manifest()["warnings"], Workspace::Json(prefixed));
+    EXPECT_TRUE(manifest()["steps"]["twice"]["warnings"].empty());
+  }
+  EXPECT_TRUE(run().warnings.empty());
+  EXPECT_TRUE(manifest()["warnings"].empty());
+
+  run_.workspace.reset();
+  run_.keep_maps = true;
+  const Results in_memory = run("twice", closing);
+  run_.known = &in_memory;
+  EXPECT_EQ(run("twice", closing).warnings, prefixed) << "once, though the earlier run gave it, too";
 }
 
 TEST_F(StepRunnerTest, TheManifestRecordsTimeAndMemoryOfEveryStep) {
