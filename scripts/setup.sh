@@ -9,6 +9,7 @@ with_tests=OFF
 packages=(
   g++ cmake ninja-build ccache pkg-config git
   libeigen3-dev libtbb-dev libsuitesparse-dev libopenblas-dev libceres-dev libopencv-dev libtiff-dev libpng-dev libjpeg-dev libssl-dev libre2-dev
+  libjemalloc-dev
   colmap
   libtomlplusplus-dev nlohmann-json3-dev libcli11-dev
   python3 python3-dev python3-venv

@@ -51,16 +51,18 @@ PixelData coarse_light(const RefinementImage& fine, RefinementImage& coarse, int
   return pixel;
 }
 
-/// Marks a coarse pixel as on the object if one of its fine pixels is.
+/// Marks a coarse pixel as on the object if one of its fine pixels is; it reflects like most of them.
 void add_coarse_pixel(const RefinementImage& fine, RefinementImage& coarse, int column, int row) {
-  int count = 0, specular = 0;
+  int count = 0, specular = 0, other_finish = 0;
   for_each_pixel(cell_rect(column, row, 2, fine.size()), fine.pixels, [&](int u, int v) {
     specular += fine.kind(u, v) == Reflection::specular;
+    other_finish += fine.has_other_finish(u, v);
     ++count;
   });
   if (count == 0) return;
   coarse.pixels(column, row) = 255;
   coarse.kind(column, row) = 2 * specular > count ? Reflection::specular : Reflection::diffuse;
+  if (2 * other_finish > count) coarse.other_finish(column, row) = 255;
 }
 
 }  // namespace
@@ -73,6 +75,7 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   coarse.shading = fine.shading;
   const Size size{fine.size().width / 2 + 1, fine.size().height / 2 + 1};
   coarse.pixels = coarse.usable = Mask(size);
+  if (!fine.other_finish.empty()) coarse.other_finish = Mask(size);
   coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
   coarse.kind = Image<Reflection>(size);
   auto pixels = Image<PixelData>::uninitialized(size);

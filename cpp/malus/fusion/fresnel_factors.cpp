@@ -5,8 +5,13 @@
 
 namespace malus {
 
+namespace {
+
+constexpr double largest_tan2 = 1458.0;  // 88.5°
+
+}  // namespace
+
 FresnelFactors fresnel_factors(double tan2, double eta) {
-  constexpr double largest_tan2 = 1458.0;  // 88.5°
   const bool clamped = tan2 > largest_tan2;
   const double g = std::clamp(tan2, 0.0, largest_tan2);
   const double eta2 = eta * eta;
@@ -38,8 +43,10 @@ FresnelFactors fresnel_factors(double tan2, double eta) {
 
 MirrorFactors mirror_factors(double tan2, std::complex<double> index) {
   if (index.imag() == 0) {
-    const FresnelFactors f = fresnel_factors(tan2, index.real());
-    return {f.reflectance, f.specular};
+    MirrorFactors factors;
+    mirrored_by_dielectric(1 / std::sqrt(1 + std::min(tan2, largest_tan2)), index.real(), factors.reflectance,
+                           factors.specular);
+    return factors;
   }
   const double c2 = 1 / (1 + tan2), s = 1 - c2, c = std::sqrt(c2);
   // With a + i b = √(index² − s) and |a + i b|² = norm.

@@ -266,23 +266,14 @@ class Refiner {
   SolveStatistics run() {
     mirrors_ = specular_share(image_) > worthwhile_share;
     searches_ = options_.search && mirrors_;
+    const bool with_map = image_.reflection.mirrored != nullptr;
     // The search for other minima takes most of the time, and the regions that it finds are larger than a few pixels.
-    const bool coarse_first = searches_ && side_of_set(image_.object) >= 2 * options_.coarsest_px;
-    if (coarse_first) {
-      const double share = 0.4;
-      const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
-      RefinementImage coarse = coarsened(image_, context_);
-      // Distances from the prior are smaller numbers in a larger GSD.
-      RefineOptions in_larger_gsd = options_;
-      in_larger_gsd.prior_weight *= 2;
-      in_larger_gsd.good_prior_weight *= 2;
-      in_larger_gsd.prior_robust_gsd /= 2;
-      Refiner at_half(coarse, in_larger_gsd, report_, context_, coarse_range, 2 * binning_);
-      at_half.is_mirror_known_ = is_mirror_known_;
-      total_ += at_half.run();
-      take_over(image_, coarse, context_);
-      range_.begin = coarse_range.end;
-      rounds_ = options_.fine_iterations;
+    // A map and the surface converge slowly together, above all in waves of many pixels (decision 119).
+    constexpr double side_with_map = 1.5;
+    const double coarsest_px = (with_map ? side_with_map : 1) * options_.coarsest_px;
+    if ((searches_ || with_map) && side_of_set(image_.object) >= 2 * coarsest_px) {
+      run_at_half();
+      rounds_ = options_.fine_iterations + (with_map ? 1 : 0);
       for (int i = 0; i < rounds_; ++i) round(1, true, true);
     } else {
       // The graduated start of mirrors needs one more round.
@@ -662,6 +653,27 @@ class Refiner {
     const PixelRect box = bounding_box(image_.object);
     return {box.u0 - box.u0 % prior_block_px, box.v0 - box.v0 % prior_block_px,
             std::min(whole_blocks(box.u1), image_.size().width), std::min(whole_blocks(box.v1), image_.size().height)};
+  }
+
+  /// Refines at half the resolution, and takes over surface and reflection.
+  void run_at_half() {
+    constexpr double share = 0.4;  // of the time
+    const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
+    RefinementImage coarse = coarsened(image_, context_);
+    // Distances from the prior are smaller numbers in a larger GSD.
+    RefineOptions in_larger_gsd = options_;
+    in_larger_gsd.prior_weight *= 2;
+    in_larger_gsd.good_prior_weight *= 2;
+    in_larger_gsd.prior_robust_gsd /= 2;
+    Refiner at_half(coarse, in_larger_gsd, report_, context_, coarse_range, 2 * binning_);
+    at_half.is_mirror_known_ = is_mirror_known_;
+    at_half.map_ = {map_.material, map_.rounds_to_keep, map_.slow_px / 2};
+    if (map_.slow_px > 0) at_half.map_.x_prior = coarse.prior_surface(context_);
+    total_ += at_half.run();
+    take_over(image_, coarse, context_);
+    map_.material = at_half.map_.material;
+    map_.rounds_to_keep = at_half.map_.rounds_to_keep;
+    range_.begin = coarse_range.end;
   }
 
   /// Runs at the coarsest level only, so that the whole object fits into one field.

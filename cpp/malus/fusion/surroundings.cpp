@@ -47,38 +47,60 @@ std::vector<Surroundings::Cell> Surroundings::all_cells() {
   return all;
 }
 
-void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
-                      double roughness, std::complex<double> index, Eigen::Ref<Eigen::Matrix3Xf> out) {
-  constexpr double smallest_cosine = 0.02, farthest = 30;  // exp(-30) is nothing
-  const double cos_normal = 1 / std::sqrt(1 + p * p + q * q);
-  const Eigen::Vector3d normal = (p * frame.right + q * frame.up + frame.view) * cos_normal;
+CellLights::CellLights(const std::vector<Surroundings::Cell>& cells) {
+  // The extent of a cell widens the lobe. A Gaussian of slopes has variance alpha² / 2.
+  constexpr double spread = 0.45 * cell_side;
+  for (Values* values : {&x_, &y_, &z_, &widening_}) values->resize(static_cast<Eigen::Index>(cells.size()));
   for (std::size_t i = 0; i < cells.size(); ++i) {
-    const Surroundings::Cell& cell = cells[i];
-    const auto column = static_cast<Eigen::Index>(i);
-    out.col(column).setZero();
-    const double hz = std::sqrt(std::max(1 - cell.hx * cell.hx - cell.hy * cell.hy, 1e-6));
-    // The extent of a cell widens the lobe. A Gaussian of slopes has variance alpha² / 2.
-    constexpr double spread = 0.45;
-    const double alpha2 = roughness * roughness + 2 * std::pow(spread * cell_side, 2) / std::sqrt(std::max(hz, 0.2));
-    const Eigen::Vector3d axis(0, 0, -1), about(cell.hx, -cell.hy, -hz);
-    const Eigen::Vector3d light = 2 * about.dot(axis) * about - axis;
-    Eigen::Vector3d half = light + frame.view;
-    const double length = half.norm();
-    if (length < 1e-3) continue;
-    half /= length;
-    const double cos_facet = normal.dot(half), cos_light = normal.dot(light), cos_half = half.dot(frame.view);
-    if (cos_facet < smallest_cosine || cos_light <= 0 || cos_half < 0.5 * smallest_cosine) continue;
-    const double cos2 = cos_facet * cos_facet, exponent = (1 - cos2) / cos2 / alpha2;
-    if (exponent > farthest) continue;
-    const double facets = std::exp(-exponent) / (std::numbers::pi * alpha2 * cos2 * cos2);
-    const double masking = std::min(1.0, 2 * cos_facet * std::min(cos_normal, cos_light) / cos_half);
-    const double weight = solid_angle * facets * masking / (4 * cos_normal);
-    const double hp = half.dot(frame.right) / cos_half, hq = half.dot(frame.up) / cos_half;
-    const MirrorFactors fresnel = mirror_factors(hp * hp + hq * hq, index);
-    out.col(column) = (weight * Eigen::Vector3d(fresnel.reflectance, -fresnel.specular * (hp * hp - hq * hq),
-                                                -fresnel.specular * 2 * hp * hq))
-                          .cast<float>();
+    const auto& [hx, hy, column, row] = cells[i];
+    const auto at = static_cast<Eigen::Index>(i);
+    const double hz = std::sqrt(std::max(1 - hx * hx - hy * hy, 1e-6));
+    // The optical axis, (0, 0, −1) towards the camera, mirrored about the half vector (hx, −hy, −hz).
+    x_[at] = static_cast<float>(2 * hz * hx);
+    y_[at] = static_cast<float>(-2 * hz * hy);
+    z_[at] = static_cast<float>(1 - 2 * hz * hz);
+    widening_[at] = static_cast<float>(2 * spread * spread / std::sqrt(std::max(hz, 0.2)));
   }
+}
+
+// Single precision and whole arrays: the compiler handles several cells at a time.
+void CellLights::mirrored(double p, double q, const RayFrame& frame, double roughness, std::complex<double> index,
+                          Eigen::Ref<Eigen::Matrix3Xf> out) const {
+  constexpr float smallest_cosine = 0.02F, farthest = 30, shortest2 = 1e-6F;  // exp(-30) is nothing
+  const auto cos_normal = static_cast<float>(1 / std::sqrt(1 + p * p + q * q));
+  const Eigen::Vector3f view = frame.view.cast<float>(), right = frame.right.cast<float>(), up = frame.up.cast<float>();
+  const Eigen::Vector3f normal = (static_cast<float>(p) * right + static_cast<float>(q) * up + view) * cos_normal;
+  const Values hx = x_ + view.x(), hy = y_ + view.y(), hz = z_ + view.z();
+  const auto along = [&](const Eigen::Vector3f& axis) { return axis.x() * hx + axis.y() * hy + axis.z() * hz; };
+  const Values length2 = hx.square() + hy.square() + hz.square();
+  const Values length = length2.max(shortest2).sqrt();
+  const Values cos_facet = along(normal) / length, cos_half = along(view) / length;
+  const Values cos_light = normal.x() * x_ + normal.y() * y_ + normal.z() * z_;
+  const Values cos2 = cos_facet.square(), alpha2 = widening_ + static_cast<float>(roughness * roughness);
+  const Values exponent = (1 - cos2) / (cos2 * alpha2);
+  const Values facets = (-exponent).exp() / (std::numbers::pi_v<float> * alpha2 * cos2.square());
+  const Values masking = (2 * cos_facet * cos_light.min(cos_normal) / cos_half).min(1.0F);
+  const Values hp = along(right) / (cos_half * length), hq = along(up) / (cos_half * length);
+  const Values weight =
+      (length2 > shortest2 && cos_facet >= smallest_cosine && cos_light > 0.0F && cos_half >= 0.5F * smallest_cosine &&
+       exponent <= farthest)
+          .select(static_cast<float>(solid_angle) / (4 * cos_normal) * facets * masking, 0.0F);
+  Values reflectance(size()), specular(size());
+  if (index.imag() == 0) {
+    mirrored_by_dielectric(cos_half, static_cast<float>(index.real()), reflectance, specular);
+  } else {
+    for (Eigen::Index i = 0; i < size(); ++i) {
+      if (!(weight[i] > 0)) continue;
+      const MirrorFactors metal = mirror_factors(hp[i] * hp[i] + hq[i] * hq[i], index);
+      reflectance[i] = static_cast<float>(metal.reflectance);
+      specular[i] = static_cast<float>(metal.specular);
+    }
+  }
+  // Where nothing is mirrored, the other factors may be infinite.
+  const auto visible = weight > 0.0F;
+  out.row(0) = visible.select(weight * reflectance, 0.0F).matrix().transpose();
+  out.row(1) = visible.select(-weight * specular * (hp.square() - hq.square()), 0.0F).matrix().transpose();
+  out.row(2) = visible.select(-2 * weight * specular * hp * hq, 0.0F).matrix().transpose();
 }
 
 MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, std::complex<double> index,
@@ -92,6 +114,7 @@ MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, std::co
     cells.push_back(cell);
     radiances.push_back(radiance);
   }
+  const CellLights lights(cells);
   const Eigen::Map<const Eigen::VectorXf> radiance(radiances.data(), static_cast<Eigen::Index>(radiances.size()));
   const auto ray_u = [&](int i) { return camera.size.width * (i + 0.5) / rays_u; };
   const auto ray_v = [&](int j) { return camera.size.height * (j + 0.5) / rays_v; };
@@ -109,7 +132,7 @@ MirroredLightTable::MirroredLightTable(const Surroundings& surroundings, std::co
       // Outside the disc the values only keep the spline smooth inside.
       constexpr double horizon = 0.97;
       const double to_slope = 2 / (1 - std::min(a * a + b * b, horizon));
-      mirrored_by_cell(to_slope * a, to_slope * b, frame, cells, surroundings.finishes.usual, index, response);
+      lights.mirrored(to_slope * a, to_slope * b, frame, surroundings.finishes.usual, index, response);
       const Eigen::Vector3f sum = response * radiance;
       tables_[static_cast<std::size_t>(ray)](column, row) = {{sum[0], sum[1], sum[2]}};
     }

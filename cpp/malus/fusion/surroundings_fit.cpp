@@ -46,12 +46,12 @@ LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells
   const auto count = static_cast<Eigen::Index>(samples.size()), columns = static_cast<Eigen::Index>(cells.size());
   const Eigen::Index parts = material.is_metal() ? 3 : 2;
   LinearSystem system{Eigen::MatrixXf(parts * count, columns), Eigen::VectorXf(parts * count), parts};
+  const CellLights lights(cells);
   Eigen::Matrix3Xf response(3, columns);
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     const double sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
-    mirrored_by_cell(s.p, s.q, s.frame, cells, s.other_finish ? finishes.other : finishes.usual, material.index,
-                     response);
+    lights.mirrored(s.p, s.q, s.frame, s.other_finish ? finishes.other : finishes.usual, material.index, response);
     const double factor = material.is_metal() ? 0 : fresnel_factors(s.tan2(), material.index.real()).diffuse;
     const Eigen::Vector2d diffuse = factor * Eigen::Vector2d(s.p * s.p - s.q * s.q, 2 * s.p * s.q);
     system.rows.row(i) = (response.row(1) - static_cast<float>(diffuse[0]) * response.row(0)) / sigma;

@@ -43,10 +43,22 @@ struct MirroredLight {
   Eigen::Vector3d by_p = Eigen::Vector3d::Zero(), by_q = Eigen::Vector3d::Zero();
 };
 
-/// (s0, s1, s2) that a surface with slopes (p, q) mirrors from each cell of radiance 1. A metal's refractive index has
-/// an imaginary part > 0.
-void mirrored_by_cell(double p, double q, const RayFrame& frame, const std::vector<Surroundings::Cell>& cells,
-                      double roughness, std::complex<double> index, Eigen::Ref<Eigen::Matrix3Xf> out);
+/// The light of some cells, prepared to be mirrored by many pixels.
+class CellLights {
+ public:
+  explicit CellLights(const std::vector<Surroundings::Cell>& cells);
+
+  Eigen::Index size() const { return x_.size(); }
+  /// (s0, s1, s2) that a surface with slopes (p, q) mirrors from each cell of radiance 1. A metal's refractive index
+  /// has an imaginary part > 0.
+  void mirrored(double p, double q, const RayFrame& frame, double roughness, std::complex<double> index,
+                Eigen::Ref<Eigen::Matrix3Xf> out) const;
+
+ private:
+  using Values = Eigen::Array<float, Eigen::Dynamic, 1, 0, Surroundings::cells * Surroundings::cells, 1>;
+  Values x_, y_, z_;  ///< directions to the light, camera frame
+  Values widening_;   ///< added to the square of the roughness, for the extent of the cells
+};
 
 /// The mirrored light as a function of the slopes, tabulated for some rays of a camera and interpolated: bicubic over
 /// the slopes (stereographic, so that all zeniths are on a disc), bilinear over the rays.
