@@ -452,8 +452,10 @@ void judge_registration(ImageRegistration& result, const RegistrationFigures& fi
             << " of the contrast is common to all images, the rest is noise";
   } else if (!is_known) {
     result.status = RegistrationStatus::uncertain;
-    message << "its place cannot be told: its displacement is known to " << with_digits(result.rms_px, 3)
-            << " px, expected " << with_digits(options.max_uncertainty_px, 3) << " px (capture.max_uncertainty_px)";
+    // Not finite if the images show lines of one direction only.
+    message << "its place cannot be told: its displacement is "
+            << (std::isfinite(result.rms_px) ? "known to " + with_digits(result.rms_px, 3) + " px" : "not known")
+            << ", expected " << with_digits(options.max_uncertainty_px, 3) << " px (capture.max_uncertainty_px)";
   } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
     result.status = RegistrationStatus::implausible;
     message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "

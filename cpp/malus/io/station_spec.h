@@ -102,7 +102,7 @@ struct OpticsSpec {
   ReflectionChoice reflection = ReflectionChoice::automatic;
   std::optional<std::filesystem::path> label_image;  ///< with `labels`: 1 = diffuse, 2 = specular, 0 = decide
   std::optional<std::array<double, 3>> light;        ///< direction to the source, camera frame; nothing = estimated
-  std::string metal = "auto";  ///< what bare metal the object is: see core/metal_internal.h; a list [n, k] as "n+ki"
+  std::string metal = "auto";  ///< what bare metal the object is: see docs/station-file.md; a list [n, k] as "n+ki"
 
   MALUS_FIELDS(refractive_index, reflection, label_image, light, metal)
 };

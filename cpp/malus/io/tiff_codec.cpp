@@ -134,13 +134,20 @@ bool has_alpha(TIFF* tiff) {
 
 /// RawImage::no_data.
 std::optional<std::string> read_no_data(TIFF* tiff) {
-  // libtiff does not know the tag. If the file has it, it is a field of the type that the file states, with its length.
   const TIFFField* field = TIFFFindField(tiff, gdal_nodata_tag, TIFF_ANY);
   if (field == nullptr) return std::nullopt;
+  // If GDAL is used in the same process, it has told libtiff of the tag, for files without it, too: a text without its
+  // length.
+  if (TIFFFieldPassCount(field) == 0) {
+    const char* text = nullptr;
+    const bool is_given = TIFFFieldDataType(field) == TIFF_ASCII && TIFFGetField(tiff, gdal_nodata_tag, &text) != 0;
+    return is_given && text != nullptr ? std::optional<std::string>(text) : std::nullopt;
+  }
+  // Otherwise libtiff knows the tag from this file only: a field of the type that the file states, with its length.
   std::uint32_t length = 0;
   const void* bytes = nullptr;
-  if (TIFFFieldDataType(field) != TIFF_ASCII || TIFFFieldPassCount(field) == 0 ||
-      TIFFGetField(tiff, gdal_nodata_tag, &length, &bytes) == 0 || bytes == nullptr) {
+  if (TIFFFieldDataType(field) != TIFF_ASCII || TIFFGetField(tiff, gdal_nodata_tag, &length, &bytes) == 0 ||
+      bytes == nullptr) {
     return "";
   }
   const std::string_view text(static_cast<const char*>(bytes), length);

@@ -130,6 +130,9 @@ TEST(Registration, noise_and_a_place_that_cannot_be_told_are_told_apart) {
   const ImageRegistration unsure = judged({0.8, 0.7, 1, 0}, 0.42);
   EXPECT_EQ(unsure.status, RegistrationStatus::uncertain);
   EXPECT_NE(unsure.message.find("known to 0.42 px, expected 0.3 px"), std::string::npos) << unsure.message;
+  const ImageRegistration unknown = judged({0.8, 0.7, 1, 0}, std::nan(""));
+  EXPECT_EQ(unknown.status, RegistrationStatus::uncertain);
+  EXPECT_NE(unknown.message.find("displacement is not known, expected"), std::string::npos) << unknown.message;
   EXPECT_EQ(judged({0.8, 0, 1, 0}, 0.01).status, RegistrationStatus::ok) << "the texture unmoved is not computed then";
 }
 

@@ -232,6 +232,34 @@ TEST(ImageFile, PixelsOfGdalsNoDataValueAreHoles) {
   EXPECT_EQ(holes(), "...o");
 }
 
+/// Tells libtiff of the tag in all files, as GDAL does when it is first used in a process.
+class KnownNoDataTag {
+ public:
+  KnownNoDataTag() : before_(TIFFSetTagExtender(tell)) {}
+  ~KnownNoDataTag() { TIFFSetTagExtender(before_); }
+  KnownNoDataTag(const KnownNoDataTag&) = delete;
+  KnownNoDataTag& operator=(const KnownNoDataTag&) = delete;
+
+ private:
+  static void tell(TIFF* tiff) {
+    static char name[] = "GDALNoDataValue";
+    static const TIFFFieldInfo field{42113, TIFF_VARIABLE, TIFF_VARIABLE, TIFF_ASCII, FIELD_CUSTOM, 1, 0, name};
+    TIFFMergeFieldInfo(tiff, &field, 1);
+  }
+
+  TIFFExtendProc before_;
+};
+
+TEST(ImageFile, TheNoDataValueIsReadWhereGdalIsUsedToo) {
+  const TemporaryFolder folder;
+  write_with_no_data<float>(folder / "with.tif", TIFF_ASCII, "9999.1");
+  write_float_tiff(folder / "without.tif", Image<float>({2, 1}, 1, 5.0F));
+  const KnownNoDataTag tag;
+  EXPECT_TRUE(std::isnan(read_float_raster(folder / "with.tif")(1, 0)));
+  EXPECT_EQ(read_float_raster(folder / "with.tif")(0, 0), 5);
+  EXPECT_EQ(read_float_raster(folder / "without.tif")(0, 0), 5) << "a file without the tag";
+}
+
 TEST(ImageFile, ADamagedNoDataValueIsAnErrorOfDepthsOnly) {
   const TemporaryFolder folder;
   const auto path = folder / "depth.tif";
