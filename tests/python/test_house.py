@@ -161,10 +161,10 @@ def test_installed_headers_are_few_and_stand_alone() -> None:
 
 
 def test_the_debian_package_suggests_what_linking_the_library_needs() -> None:
-    """Without one of these find_package(malus) fails. CLI11 is for malus-station only."""
+    """Without one of these find_package(malus) fails. CLI11 and jemalloc are for malus-station only."""
     suggested = re.search(r'SUGGESTS\s+"([^"]+)"', (ROOT / "cmake/MalusPackage.cmake").read_text(encoding="utf-8"))
     setup = (ROOT / "scripts/setup.sh").read_text(encoding="utf-8")
-    needed = set(re.findall(r"\blib[\w-]+-dev\b", setup)) - {"libcli11-dev"}
+    needed = set(re.findall(r"\blib[\w-]+-dev\b", setup)) - {"libcli11-dev", "libjemalloc-dev"}
     assert suggested is not None and set(suggested[1].split(", ")) == needed
 
 

@@ -657,7 +657,7 @@ class Refiner {
 
   /// Refines at half the resolution, and takes over surface and reflection.
   void run_at_half() {
-    constexpr double share = 0.4;  // of the time
+    const double share = 0.4;  // of the time
     const ProgressRange coarse_range{range_.begin, range_.begin + share * (range_.end - range_.begin)};
     RefinementImage coarse = coarsened(image_, context_);
     // Distances from the prior are smaller numbers in a larger GSD.

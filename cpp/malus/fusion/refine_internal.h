@@ -25,7 +25,7 @@ namespace malus {
 struct RefineInput {
   std::optional<double> refractive_index = 1.5;  ///< none = estimated from the data
   ReflectionChoice reflection = ReflectionChoice::automatic;
-  Mask labels;  ///< with ReflectionChoice::labels: 1 = diffuse, 2 = specular, 0 = not known; else empty
+  Mask labels;                 ///< with ReflectionChoice::labels: 1 = diffuse, 2 = specular, 0 = not known; else empty
   std::string metal = "auto";  ///< as in the station file, see core/metal_internal.h
 };
 

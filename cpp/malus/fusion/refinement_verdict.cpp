@@ -134,8 +134,8 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
   }
   if (is_the_prior(report)) {
     warn(ConfidenceLevel::partial,
-         "The surface is the prior's, or nearly: " + why_the_priors(report) +
-             ". Usual causes are " + (report.stated_metal ? "a metal whose color changes" : "metal") +
+         "The surface is the prior's, or nearly: " + why_the_priors(report) + ". Usual causes are " +
+             (report.stated_metal ? "a metal whose color changes" : "metal") +
              ", lamps close to the object, noise, or a misplaced prior.",
          surface);
     return;

@@ -49,7 +49,7 @@ std::vector<Surroundings::Cell> Surroundings::all_cells() {
 
 CellLights::CellLights(const std::vector<Surroundings::Cell>& cells) {
   // The extent of a cell widens the lobe. A Gaussian of slopes has variance alpha² / 2.
-  constexpr double spread = 0.45 * cell_side;
+  constexpr double spread = 0.45;
   for (Values* values : {&x_, &y_, &z_, &widening_}) values->resize(static_cast<Eigen::Index>(cells.size()));
   for (std::size_t i = 0; i < cells.size(); ++i) {
     const auto& [hx, hy, column, row] = cells[i];
@@ -59,7 +59,7 @@ CellLights::CellLights(const std::vector<Surroundings::Cell>& cells) {
     x_[at] = static_cast<float>(2 * hz * hx);
     y_[at] = static_cast<float>(-2 * hz * hy);
     z_[at] = static_cast<float>(1 - 2 * hz * hz);
-    widening_[at] = static_cast<float>(2 * spread * spread / std::sqrt(std::max(hz, 0.2)));
+    widening_[at] = static_cast<float>(2 * std::pow(spread * cell_side, 2) / std::sqrt(std::max(hz, 0.2)));
   }
 }
 
@@ -81,10 +81,9 @@ void CellLights::mirrored(double p, double q, const RayFrame& frame, double roug
   const Values facets = (-exponent).exp() / (std::numbers::pi_v<float> * alpha2 * cos2.square());
   const Values masking = (2 * cos_facet * cos_light.min(cos_normal) / cos_half).min(1.0F);
   const Values hp = along(right) / (cos_half * length), hq = along(up) / (cos_half * length);
-  const Values weight =
-      (length2 > shortest2 && cos_facet >= smallest_cosine && cos_light > 0.0F && cos_half >= 0.5F * smallest_cosine &&
-       exponent <= farthest)
-          .select(static_cast<float>(solid_angle) / (4 * cos_normal) * facets * masking, 0.0F);
+  const Values weight = (length2 > shortest2 && cos_facet >= smallest_cosine && cos_light > 0.0F &&
+                         cos_half >= 0.5F * smallest_cosine && exponent <= farthest)
+                            .select(static_cast<float>(solid_angle) / (4 * cos_normal) * facets * masking, 0.0F);
   Values reflectance(size()), specular(size());
   if (index.imag() == 0) {
     mirrored_by_dielectric(cos_half, static_cast<float>(index.real()), reflectance, specular);

@@ -97,10 +97,11 @@ struct RefineOptions {
           "together");
     visit("fine_iterations", self.fine_iterations, Range{1, 50},
           "rounds at full resolution after those at half the resolution; with a map of the surroundings one more");
-    visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
-          "if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, "
-          "repeatedly, as long as the root of their number of pixels stays at least this (with a map 1.5 times this), "
-          "in px");
+    visit(
+        "coarsest_px", self.coarsest_px, Range{16, 1e9},
+        "if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, "
+        "repeatedly, as long as the root of their number of pixels stays at least this (with a map 1.5 times this), "
+        "in px");
     visit("more_iterations", self.more_iterations, Range{0, 50},
           "largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps in each round; the first two rounds take one");

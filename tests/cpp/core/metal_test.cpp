@@ -1,7 +1,6 @@
-#include "malus/core/metal_internal.h"
-
 #include <gtest/gtest.h>
 
+#include "malus/core/metal_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

@@ -34,6 +34,22 @@ TEST(CoarseLevel, ShowsTheSameSurfaceAtALargerGsd) {
   EXPECT_NE(coarse.object(15, 15), 0);
 }
 
+TEST(CoarseLevel, APixelHasTheFinishOfMostOfItsPixels) {
+  SyntheticStation station = station_of({61, 48});
+  RefinementImage fine = make_image(station.state, station.prior, Context{});
+  EXPECT_TRUE(coarsened(fine, Context{}).other_finish.empty());
+  fine.other_finish = Mask(fine.size());
+  for (int u = 0; u < 23; ++u) {
+    for (int v = 0; v < fine.size().height; ++v) fine.other_finish(u, v) = 255;
+  }
+  fine.other_finish(23, 10) = 255;
+  const RefinementImage coarse = coarsened(fine, Context{});
+  EXPECT_TRUE(coarse.has_other_finish(10, 5));
+  EXPECT_TRUE(coarse.has_other_finish(11, 5)) << "three of four";
+  EXPECT_FALSE(coarse.has_other_finish(11, 6)) << "two of four";
+  EXPECT_FALSE(coarse.has_other_finish(12, 5));
+}
+
 TEST(CoarseLevel, ChangesAreTransferredToTheFineLevel) {
   SyntheticStation station = station_of({60, 48});
   for (int v = 0; v < 48; ++v) {

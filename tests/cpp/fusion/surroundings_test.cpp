@@ -249,6 +249,24 @@ TEST(Surroundings, AMetalIsFoundAndRefinedFromBrightnessAndPolarization) {
   EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
 }
 
+TEST(Surroundings, OfALargerObjectAreFittedAtHalfTheResolutionFirst) {
+  SyntheticOptions scene;
+  scene.size = {96, 80};
+  const SyntheticStation station = metal_station(make_station(scene).prior.camera);
+  RefineOptions options = quick();
+  options.coarsest_px = 24;
+  const RefineResult result = refine(station.state, station.prior, {}, options, Context{});
+  const auto rounds = [&](int binning) {
+    return std::ranges::count(result.report.iterations, binning, &RefineIteration::binning);
+  };
+  EXPECT_EQ(rounds(2), options.surroundings_iterations);
+  EXPECT_EQ(rounds(4), 0);
+  EXPECT_GT(rounds(1), options.fine_iterations);
+  EXPECT_LT(rounds(1), options.surroundings_iterations);
+  EXPECT_GT(result.report.metal_index.imag(), 0);
+  EXPECT_LT(step_error(result.surface.depth, station.truth), 0.7 * step_error(station.prior.depth, station.truth));
+}
+
 bool says(const RefineResult& result, const std::string& words) {
   return std::ranges::any_of(result.surface.warnings,
                              [&](const std::string& warning) { return warning.find(words) != std::string::npos; });
