@@ -87,18 +87,25 @@ def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> Obj
     for piece in pieces:
         mesh = piece.mesh
         found, at = seams.find(piece.seam)
+        # Two vertices of a piece that lie on one node are one vertex, as for the pieces beside it.
+        shared = np.flatnonzero(~found & (piece.seam >= 0))
+        _, first, where = np.unique(piece.seam[shared], return_index=True, return_inverse=True)
+        twin = shared[first[where]]
+        new = ~found
+        new[shared] = twin == shared
         numbers = np.empty(len(found), np.int64)
-        numbers[~found] = raw.vertices.rows + np.arange(int((~found).sum()))
+        numbers[new] = raw.vertices.rows + np.arange(int(new.sum()))
+        numbers[shared] = numbers[twin]
         numbers[found] = seams.number[at[found]]
         kept = mesh.triangles[(mesh.sigma <= most_sigma)[mesh.triangles].all(1)]
         part = parts + part_numbers(kept, len(found))
-        links.append(np.stack([part[found], seams.part[at[found]]], 1))
-        new = ~found & (piece.seam >= 0)
-        seams.add(piece.seam[new], numbers[new], part[new], piece.first_seam)
+        links += [np.stack([part[found], seams.part[at[found]]], 1), np.stack([part[shared], part[twin]], 1)]
+        once = shared[first]
+        seams.add(piece.seam[once], numbers[once], part[once], piece.first_seam)
         triangles = numbers[kept]
         # A triangle whose seam vertices were merged has no area.
         real = (triangles != np.roll(triangles, 1, 1)).all(1)
-        raw.add(mesh, ~found, triangles[real])
+        raw.add(mesh, new, triangles[real])
         of = part[kept[real, 0]]
         parts_of.add(of)
         sizes.append(np.bincount(of - parts, minlength=part.max(initial=parts - 1) + 1 - parts))
