@@ -17,6 +17,7 @@ from malus.object import (
     View,
     closed_surface,
     combine,
+    implicit,
     joined_mesh,
     pieces,
     textured,
@@ -187,6 +188,19 @@ def test_what_only_a_station_from_farther_away_sees_has_no_holes(times: float, t
 def test_what_a_farther_station_is_sure_of_at_its_own_pixels_is_not_left_out(tmp_path: Path) -> None:
     mesh = mesh_of([*FAR, farther(5.0, 5.0)], tmp_path)
     assert mesh.vertices[:, 0].max() > 26 * 5 + 20
+
+
+def test_blocks_have_all_points_that_reach_into_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of larger pixels reach farther."""
+    far = farther(5.0, 0.3)
+    noise = np.random.default_rng(0).normal(0, 2, far.depth.shape)
+    views = [*FAR, replace(far, depth=(far.depth + noise).astype(np.float32))]
+    whole = mesh_of(views, tmp_path / "whole")
+    monkeypatch.setattr(implicit, "BLOCK_CELLS", 64)
+    many = mesh_of(views, tmp_path / "many")
+    assert len(many.vertices) == len(whole.vertices)
+    heights = [np.sort(mesh.vertices[:, 2]) for mesh in (whole, many)]
+    np.testing.assert_allclose(*heights, atol=1e-3)
 
 
 def test_figures_count_all_of_the_surface_alike(fine: ObjectMesh, near: View, tmp_path: Path) -> None:
