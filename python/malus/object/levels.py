@@ -109,11 +109,12 @@ class Levels:
                 end = -1 if far else 0
                 every = 2 ** (cube.level - level)
                 side[end] = refined(side[end][::every, ::every], every)
-        # Two sides may have neighbors of different cells; the coarsest one about an edge counts.
+        # The sides rounded the values on their edges anew, and all parts about an edge must have the same.
         self._blend_edges(cube, field)
         return field
 
     def _blend_edges(self, cube: Cube, field: Singles) -> None:
+        """The same on the cube's edges, where the coarsest of the parts about an edge counts."""
         for a, b in ((0, 1), (0, 2), (1, 2)):
             for far_a, far_b in itertools.product((False, True), repeat=2):
                 ends = ((a, far_a), (b, far_b))
