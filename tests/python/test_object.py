@@ -331,6 +331,14 @@ def test_blocks_meet_exactly_and_change_nothing(
     assert x == pytest.approx(y, abs=1e-3)
 
 
+def test_a_surface_near_a_node_between_blocks_has_no_slit(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One block gave the node two vertices, the other one."""
+    monkeypatch.setattr(implicit, "BLOCK_CELLS", 12)
+    assert is_closed(joined_mesh(pieces(thin, CELL), tmp_path, 1.0).triangles)
+
+
 def test_crumbs_and_what_is_unsure_are_left_out(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from malus.object.arrays import chunks
-from malus.object.views import LEAST_COSINE, Bools, Floats, View, scipy, unit
+from malus.object.views import ALIKE, LEAST_COSINE, Bools, Floats, View, scipy, unit
 
 #: Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of them is wrong.
 _LEAST_FACING = 0.5
@@ -27,26 +27,46 @@ _SURER = 1.5
 _MOST_COMPARED = 1_000_000
 #: If less than this share of the stations' points in an image lie outside its contour, the contour holds the whole object there.
 _MOST_BESIDE = 0.01
+#: A point is dropped if a point of a finer level lies beside it, within so many of its own pixels along and across the surface: a finer
+#: station saw the place.
+_BESIDE_FINER, _ACROSS_FINER = 1.0, 2.0
+#: A lattice's cells are halved until they are no larger than this many pixels.
+_LARGEST_CELL = 4 / 3
+#: Pixels more than this many times larger than the object's GSD count as so large.
+_LARGEST_SCALE = 12.0
 
 
 @dataclass(frozen=True)
 class OrientedPoints:
     """points, normals: N×3, world. sigma: N, one standard deviation along the normal. stations: N, number of stations that see the
-    place; 0 for points of stereo alone.
+    place; 0 for points of stereo alone. scale: N, side of the pixels that measured the place, in GSD of the object (the median of its
+    stations'); None if it is 1 for all.
     """
 
     points: Floats
     normals: NDArray[np.floating]
     sigma: NDArray[np.floating]
     stations: NDArray[np.integer]
+    scale: NDArray[np.floating] | None = None
 
     def select(self, chosen: Bools | NDArray[np.integer] | slice) -> OrientedPoints:
         """Some of the points, by mask, number or slice."""
-        return OrientedPoints(self.points[chosen], self.normals[chosen], self.sigma[chosen], self.stations[chosen])
+        return OrientedPoints(
+            self.points[chosen], self.normals[chosen], self.sigma[chosen], self.stations[chosen],
+            None if self.scale is None else self.scale[chosen],
+        )  # fmt: skip
+
+    def scales(self) -> NDArray[np.floating]:
+        """`scale` as numbers (N)."""
+        return np.ones(len(self.points)) if self.scale is None else self.scale
+
+    def levels(self) -> NDArray[np.int64]:
+        """How often a cell of one GSD is halved to be as fine as the pixels that measured the place (N); negative for larger pixels."""
+        return np.asarray(np.ceil(-np.log2(self.scales() * _LARGEST_CELL)), np.int64)
 
 
 def joined(parts: Sequence[OrientedPoints]) -> OrientedPoints:
-    """All points of several sets, in their order; 42 bytes each, as there may be tens of millions."""
+    """All points of several sets, in their order; 42 bytes each (46 with `scale`), as there may be tens of millions."""
     empty = OrientedPoints(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64))
     together = [empty, *parts]
     return OrientedPoints(
@@ -54,6 +74,9 @@ def joined(parts: Sequence[OrientedPoints]) -> OrientedPoints:
         np.concatenate([part.normals for part in together], dtype=np.float32),
         np.concatenate([part.sigma for part in together], dtype=np.float32),
         np.concatenate([part.stations for part in together], dtype=np.uint16, casting="unsafe"),
+        None
+        if all(part.scale is None for part in together)
+        else np.concatenate([part.scales() for part in together], dtype=np.float32),
     )
 
 
@@ -77,19 +100,31 @@ def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple
     A station's weight is the inverse of its usual variance times the cosine of its viewing angle at the place. The variances stated for
     single places are not used: they exaggerate the advantage of the frontal view (decision 90). The standard deviation of a mean is the
     mean of those stated, not smaller: stations share a prior, so their errors do not average out. A point is dropped if another
-    station sees the surface behind it, or sees the place better. `cloud`: stereo's points; they support places that one station alone
+    station sees the surface behind it, or sees the place better. A station is not averaged into the detail of one with smaller pixels,
+    nor does its weight count against it. `cloud`: stereo's points; they support places that one station alone
     sees at a flat angle and that could be rims.
     """
     parts, doubted, agreements = [], [], []
-    for view in views:
+    for view, scale in zip(views, scales_of(views), strict=True):
         believed, doubtful, agreement = _with_others(view, [other for other in views if other is not view])
-        parts.append(believed)
-        doubted.append(doubtful)
+        parts.append(_of_scale(believed, scale))
+        doubted.append(_of_scale(doubtful, scale))
         agreements.append(agreement)
     if cloud is not None and views:
         flat = joined(doubted)
         parts.append(flat.select(_found_by(cloud, flat, float(np.median([view.gsd for view in views])))))
     return joined(parts), agreements
+
+
+def scales_of(views: Sequence[View]) -> list[float]:
+    """Side of each view's pixels in GSD of the object, the median of the views'; 1 if it differs from that by less than a quarter."""
+    gsd = float(np.median([view.gsd for view in views])) if views else 1.0
+    sizes = [min(view.gsd / gsd, _LARGEST_SCALE) for view in views]
+    return [1.0 if 1 / ALIKE <= size <= ALIKE else size for size in sizes]
+
+
+def _of_scale(points: OrientedPoints, scale: float) -> OrientedPoints:
+    return points if scale == 1 else replace(points, scale=np.full(len(points.points), scale, np.float32))
 
 
 def _with_others(view: View, others: Sequence[View]) -> tuple[OrientedPoints, OrientedPoints, Agreement]:
@@ -149,15 +184,19 @@ class _Means:
             apart = at.off(points) / np.maximum(facing, _LEAST_FACING)
             spread = np.hypot(sigma, at.sigma)
             same = (at.weight > 0) & (facing > _LEAST_FACING) & (other.facing(points, normals) > LEAST_COSINE)
-            near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, other.usual_sigma)), 2 * view.gsd))
+            finer = view.finer(cosine, other, at.weight)
+            # What the other cannot resolve may lie as far from its surface as from that of a view with its pixels.
+            farthest = 2 * (other.gsd if view.resolves_more(other) else view.gsd)
+            near = same & (np.abs(apart) < max(_MOST_RATIO * float(np.hypot(usual, other.usual_sigma)), farthest))
             # Another station may only exclude a point that it sees at a better angle.
             contradicted |= other.in_front(points, _MOST_RATIO) & ~near & (at.weight > cosine)
-            weight = np.where(near, at.weight / other.usual_sigma**2, 0.0)
+            used = near & ~finer
+            weight = np.where(used, at.weight / other.usual_sigma**2, 0.0)
             total += weight
-            moved += np.where(near, weight * apart, 0)
-            cosines += np.where(near, at.weight, 0)
-            stated += np.where(near, at.weight / at.sigma**2, 0)
-            normal += np.where(near[:, None], weight[:, None] * at.normals, 0)
+            moved += np.where(used, weight * apart, 0)
+            cosines += np.where(used, at.weight, 0)
+            stated += np.where(used, at.weight / at.sigma**2, 0)
+            normal += np.where(used[:, None], weight[:, None] * at.normals, 0)
             best = np.maximum(best, weight)
             seen += near
             counted = same & (np.abs(apart) < 3 * _MOST_RATIO * spread)
@@ -243,8 +282,33 @@ def _has_all(view: View, points: OrientedPoints) -> bool:
     return bool((inside & ~within).sum() < _MOST_BESIDE * inside.sum())
 
 
+def without_coarser(points: OrientedPoints, gsd: float) -> OrientedPoints:
+    """The points beside which no finer ones of the same surface lie: these would be blurred by them."""
+    if points.scale is None:
+        return points
+    levels = points.levels()
+    kept = np.ones(len(levels), bool)
+    for level in np.unique(levels)[:-1]:
+        finer = points.select(levels > level)
+        tree = scipy("spatial").cKDTree(finer.points)
+        coarser = np.flatnonzero(levels == level)
+        for rows in chunks(len(coarser)):
+            some = points.select(coarser[rows])
+            near = tree.query(some.points, min(_NEIGHBORS, len(finer.points)), workers=1)[1].reshape(
+                len(some.points), -1
+            )
+            apart = finer.points[near] - some.points[:, None]
+            across = (apart * some.normals[:, None]).sum(-1)
+            along = np.linalg.norm(apart - across[..., None] * some.normals[:, None], axis=-1)
+            pixel = gsd * some.scales()[:, None]
+            same = (finer.normals[near] * some.normals[:, None]).sum(-1) > 0
+            beside = same & (along < _BESIDE_FINER * pixel) & (np.abs(across) < _ACROSS_FINER * pixel)
+            kept[coarser[rows]] = ~beside.any(1)
+    return points.select(kept)
+
+
 def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
-    """The points that lie on a surface with most of their neighbors: nearly parallel, and in one plane to two GSD."""
+    """The points that lie on a surface with most of their neighbors: nearly parallel, and in one plane to two of their pixels."""
     if len(points.points) <= _NEIGHBORS:
         return points
     tree = scipy("spatial").cKDTree(points.points)
@@ -253,7 +317,7 @@ def without_outliers(points: OrientedPoints, gsd: float) -> OrientedPoints:
         some = points.select(rows)
         near = tree.query(some.points, _NEIGHBORS + 1, workers=1)[1][:, 1:]
         across, parallel = _continued(some, points, near)
-        good[rows] = (parallel & (np.abs(across) < 2 * gsd)).mean(1) >= _LEAST_TOGETHER
+        good[rows] = (parallel & (np.abs(across) < 2 * gsd * some.scales()[:, None])).mean(1) >= _LEAST_TOGETHER
     return points.select(good)
 
 

@@ -59,7 +59,7 @@ class Paint:
         some = slice(None, None, every)
         weights, colors = _sights(points[some], normals[some], views, pictures)
         gains = np.exp(_log_gains(weights, colors))
-        mean = _mean(weights, colors * gains[:, None, None])
+        mean = _mean(_of_finest(weights, views), colors * gains[:, None, None])
         seen = np.isfinite(mean).all(1)
         known = mean[seen]
         if not len(known):
@@ -71,11 +71,14 @@ class Paint:
         return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 
     def linear(self, points: Floats, normals: Floats) -> Floats:
-        """Linear color (N×3, 1 = white) of places; a station's weight is the squared cosine of its viewing angle."""
+        """Linear color (N×3, 1 = white) of places; a station's weight is the squared cosine of its viewing angle.
+
+        Where a station shows a place in more detail, those with larger pixels do not count.
+        """
         parts = [np.empty((0, len(self.missing)))]
         for rows in chunks(len(points)):
             weights, colors = _sights(points[rows], normals[rows], self.views, self.images)
-            parts.append(_mean(weights, colors * self.gains[:, None, None]))
+            parts.append(_mean(_of_finest(weights, self.views), colors * self.gains[:, None, None]))
         color = np.concatenate(parts)
         unseen = np.flatnonzero(~np.isfinite(color).all(axis=1))
         if self.lent is not None and len(unseen):
@@ -106,6 +109,17 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
         # Masked pixels have NaN colors, and NaN times zero weight would make the mean of all stations NaN.
         colors[k] = np.where(seen[:, None], color, 0)
     return weights, colors
+
+
+def _of_finest(weights: Floats, views: Sequence[View]) -> Floats:
+    """The weights (V×N, squared cosines), zero for views that show a place more coarsely than another view with a weight."""
+    kept = weights.copy()
+    cosines = np.sqrt(weights)
+    for k, view in enumerate(views):
+        for j, other in enumerate(views):
+            if other.resolves_more(view):
+                kept[k, (weights[j] > 0) & other.finer(cosines[j], view, cosines[k])] = 0
+    return kept
 
 
 def _mean(weights: Floats, colors: Floats) -> Floats:

@@ -4,7 +4,7 @@ Each point has a tangent plane. The mean of a place's signed distances from the 
 fall with the distance to the points, is its signed distance from the surface (implicit moving least squares: Kolluri 2008,
 "Provably good moving least squares"). This mean is computed at the nodes of one lattice for the whole object; marching cubes runs on
 blocks of the lattice. Nodes on the side between two blocks are computed from the same points in the same order, so that blocks meet
-exactly.
+exactly. Where points have smaller pixels, the lattice is finer (`levels`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
 from malus.object.arrays import chunks
 from malus.object.joining import Piece
+from malus.object.levels import FINEST, Cube, Levels
 from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats, scipy, unit
 from malus.threads import ALL_CORES
@@ -30,7 +31,8 @@ Ints = NDArray[np.int64]
 
 #: Cells along a block's side.
 BLOCK_CELLS = 128
-#: Radius of a point's weight function: this many cells, or this many times the spacing of its neighbors if that is more.
+#: Radius of a point's weight function: this many cells, or this many times the spacing of its neighbors if that is more. Where a point's
+#: pixels are larger or smaller than a cell, its own pixels count instead of cells, here and below.
 _REACH_CELLS = 4.0
 _REACH_SPACINGS = 1.8
 _SPACING_NEIGHBOR = 6
@@ -42,19 +44,23 @@ _LEAST_WEIGHT = 0.3
 _BESIDE_CELLS = 10
 #: Normal and standard deviation of a vertex are means over this many nearest points.
 _NEIGHBORS = 4
-#: Bits that identify a vertex on a side of a block: it lies on an edge of the lattice, which a node (x, y, z) and an axis name, at a
-#: fraction of the edge.
-_NODE_BITS, _AXIS_BITS, _FRACTION_BITS = 17, 2, 8
-#: The nodes of the lattice that these bits can name, along each axis.
-MOST_CELLS = 1 << _NODE_BITS
+#: Bits that identify a vertex on a side of a block: it lies on an edge of the finest lattice, which a node (x, y, z) and an axis name.
+_NODE_BITS, _AXIS_BITS = 20, 2
+#: A vertex nearer to a node than half of this share of an edge lies on the node: a number of its own instead of an axis.
+_AT_NODE, _SHARE_AT_NODE = 3, 1 / 256
+#: The cells that these bits can name, along each axis.
+MOST_CELLS = 1 << (_NODE_BITS - FINEST)
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Nodes at origin + cell · (i, j, k), world; blocks of BLOCK_CELLS cells."""
+    """Nodes at origin + cell · (i, j, k), world; blocks of BLOCK_CELLS cells. beside: margin about a part of the lattice (cells) that
+    holds the points that matter in it.
+    """
 
     origin: Floats
     cell: float
+    beside: float
 
     def indices(self, points: Floats) -> Floats:
         """Where points (N×3) lie, in cells."""
@@ -62,54 +68,63 @@ class Lattice:
 
 
 class PointBlocks:
-    """Oriented points, sorted by block."""
+    """Oriented points, sorted by block, or by part of a block if their scales differ."""
 
     def __init__(self, points: OrientedPoints, lattice: Lattice) -> None:
-        self.lattice = lattice
+        self.lattice, self.levels = lattice, Levels(BLOCK_CELLS)
+        self._side = BLOCK_CELLS if points.scale is None else self.levels.part
         number = np.empty(len(points.points), np.int64)
         for rows in chunks(len(number)):
-            number[rows] = _node_number(np.floor(lattice.indices(points.points[rows]) / BLOCK_CELLS).astype(np.int64))
+            some = points.select(rows)
+            at = lattice.indices(some.points)
+            number[rows] = _node_number(np.floor(at / self._side).astype(np.int64))
+            if some.scale is not None:
+                self.levels.add(at, some.levels(), _BESIDE_CELLS * some.scale)
         order = np.argsort(number, kind="stable")
         self.points = points.select(order)
         numbers, starts = np.unique(number[order], return_index=True)
-        self.blocks = np.stack([numbers >> shift & MOST_CELLS - 1 for shift in (2 * _NODE_BITS, _NODE_BITS, 0)], 1)
+        parts = np.stack([numbers >> shift & (1 << _NODE_BITS) - 1 for shift in (2 * _NODE_BITS, _NODE_BITS, 0)], 1)
         ends = [*starts[1:].tolist(), len(order)]
         self._where = {
-            tuple(block): range(*ends_)
-            for block, *ends_ in zip(self.blocks.tolist(), starts.tolist(), ends, strict=True)
+            tuple(part): range(*ends_) for part, *ends_ in zip(parts.tolist(), starts.tolist(), ends, strict=True)
         }
+        self.blocks = np.unique(parts * self._side // BLOCK_CELLS, axis=0)
 
-    def to_march(self) -> list[tuple[int, int, int]]:
-        """All blocks that the surface may enter: those with points, and their neighbors."""
+    def to_march(self) -> list[Cube]:
+        """The cubes of all blocks that the surface may enter: those with points, and their neighbors. x never decreases."""
         steps = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
         found = np.unique((self.blocks[:, None] + steps).reshape(-1, 3), axis=0)
-        return [(i, j, k) for i, j, k in found.tolist()]
+        return self.levels.cubes((i, j, k) for i, j, k in found.tolist())
 
-    def around(self, block: tuple[int, int, int]) -> OrientedPoints:
-        """The points in a block and in the margin about it."""
-        beside = itertools.product(*([x - 1, x, x + 1] for x in block))
+    def around(self, cube: Cube) -> OrientedPoints:
+        """The points in a cube and in the margin about it."""
+        low, high = cube.low - self.lattice.beside, cube.low + cube.size + self.lattice.beside
+        first, last = (np.floor(end / self._side).astype(np.int64).tolist() for end in (low, high))
+        beside = itertools.product(*(range(a, b + 1) for a, b in zip(first, last, strict=True)))
         parts = [np.arange(r.start, r.stop) for r in (self._where.get(at) for at in beside) if r is not None]
         some = np.concatenate([np.empty(0, np.int64), *parts])
-        at = self.lattice.indices(self.points.points[some]) - np.array(block) * BLOCK_CELLS
-        near = ((at >= -_BESIDE_CELLS) & (at <= BLOCK_CELLS + _BESIDE_CELLS)).all(1)
-        return self.points.select(some[near])
+        at = self.lattice.indices(self.points.points[some])
+        return self.points.select(some[((at >= low) & (at <= high)).all(1)])
 
 
-def reach_of(points: Floats, cell: float, threads: int) -> Floats:
-    """Radius of each point's weight function (N): in proportion to the distance to its sixth neighbor, within limits in cells."""
-    if len(points) <= _SPACING_NEIGHBOR:
-        return np.full(len(points), _REACH_CELLS * cell)
-    spacing = scipy("spatial").cKDTree(points).query(points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
-    return np.asarray(np.clip(_REACH_SPACINGS * spacing, _REACH_CELLS * cell, MOST_REACH_CELLS * cell))
+def reach_of(points: OrientedPoints, cell: float, threads: int) -> Floats:
+    """Radius of each point's weight function (N): in proportion to the distance to its sixth neighbor, within limits in cells or pixels."""
+    side = cell * points.scales()
+    if len(side) <= _SPACING_NEIGHBOR:
+        return np.asarray(_REACH_CELLS * side)
+    tree = scipy("spatial").cKDTree(points.points)
+    spacing = tree.query(points.points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
+    return np.asarray(np.clip(_REACH_SPACINGS * spacing, _REACH_CELLS * side, MOST_REACH_CELLS * side))
 
 
 def distance_field(
-    points: OrientedPoints, reach: Floats, lattice: Lattice, block: tuple[int, int, int], threads: int
+    points: OrientedPoints, reach: Floats, lattice: Lattice, cube: Cube, threads: int
 ) -> NDArray[np.float32]:
-    """Signed distance in cells, positive outside, at the nodes of a block (side BLOCK_CELLS + 1); NaN away from the points."""
+    """Signed distance in the cube's cells, positive outside, at its nodes; NaN away from the points."""
+    finer = 1 << cube.level
     return _core.tangent_plane_mean(
-        lattice.indices(points.points), points.normals.astype(np.float64), reach / lattice.cell,
-        [BLOCK_CELLS * k for k in block], BLOCK_CELLS + 1, _LEAST_WEIGHT, threads,
+        lattice.indices(points.points) * finer, points.normals.astype(np.float64), reach / lattice.cell * finer,
+        list(cube.first), cube.side + 1, _LEAST_WEIGHT, threads,
     )  # fmt: skip
 
 
@@ -125,18 +140,21 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
             "no station has a surface that is sure enough for the mesh; object.max_sigma_gsd says how sure it must be, and the reports "
             "of the stations say why it is not"
         )
+    coarsest = 1.0 if points.scale is None else max(1.0, float(points.scale.max()))
+    beside = min(_BESIDE_CELLS * coarsest, BLOCK_CELLS)
     across = float((points.points.max(0) - points.points.min(0)).max()) / cell
-    if across + 2 * (_BESIDE_CELLS + BLOCK_CELLS) > MOST_CELLS:
+    if across + 2 * (beside + BLOCK_CELLS) > MOST_CELLS:
         raise DataError(
             f"the points of the object spread over {across:.0f} cells of {cell:g}, expected at most {MOST_CELLS}: "
             "are all stations and clouds in one frame and unit?"
         )
-    blocks = PointBlocks(points, Lattice(points.points.min(0) - _BESIDE_CELLS * cell, cell))
-    for block in blocks.to_march():
-        near = blocks.around(block)
+    blocks = PointBlocks(points, Lattice(points.points.min(0) - beside * cell, cell, beside))
+    for cube in blocks.to_march():
+        near = blocks.around(cube)
         if len(near.points) <= _NEIGHBORS:
             continue
-        field = distance_field(near, reach_of(near.points, cell, threads), blocks.lattice, block, threads)
+        field = distance_field(near, reach_of(near, cell, threads), blocks.lattice, cube, threads)
+        field = blocks.levels.blended(cube, field)
         known = field[np.isfinite(field)]
         if not len(known) or known.min() >= 0 or known.max() <= 0:
             continue
@@ -144,22 +162,30 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
         at, triangles, _, _ = measure.marching_cubes(field, 0.0, gradient_direction="descent")
         triangles = triangles[np.isfinite(at).all(1)[triangles].all(1)]
         if len(triangles):
-            used, renumbered = np.unique(triangles, return_inverse=True)
-            whole = at[used].astype(np.float64) + np.array(block) * BLOCK_CELLS
-            vertices = blocks.lattice.origin + cell * whole
-            yield Piece(
-                _with_means(vertices, renumbered.reshape(-1, 3), near, cell, threads),
-                _seam(at[used], whole),
-                int(_node_number(np.array([[block[0] * BLOCK_CELLS, 0, 0]]))[0]) << _AXIS_BITS + _FRACTION_BITS,
-            )
+            at, triangles = blocks.levels.divided(cube, field, at, triangles)
+            yield _piece(at, triangles, cube, near, blocks, threads)
 
 
-def _seam(at: NDArray[np.float32], whole: Floats) -> Ints:
-    """A number for each vertex on a side of its block, the same in the neighboring block and growing with x; -1 for all other vertices."""
-    parts = np.rint(whole * (1 << _FRACTION_BITS)).astype(np.int64)
-    node, fraction = np.divmod(parts, 1 << _FRACTION_BITS)
-    edge = (_node_number(node) << _AXIS_BITS) + fraction.argmax(1)
-    return np.where(((at == 0) | (at == BLOCK_CELLS)).any(1), (edge << _FRACTION_BITS) + fraction.max(1), -1)
+def _piece(
+    at: NDArray[np.float32], triangles: Ints, cube: Cube, points: OrientedPoints, blocks: PointBlocks, threads: int
+) -> Piece:
+    """The surface in a cube. at: N×3, in the cube's cells. points: those that it was made from."""
+    lattice = blocks.lattice
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    whole = at[used].astype(np.float64) + np.array(cube.first)
+    cell, finer = lattice.cell / (1 << cube.level), 1 << (blocks.levels.finest - cube.level)
+    mesh, scale = _with_means(lattice.origin + cell * whole, renumbered.reshape(-1, 3), points, cell, threads)
+    on_side = ((at[used] == 0) | (at[used] == cube.side)).any(1)
+    first = int(_node_number(np.array([[cube.first[0] * finer, 0, 0]]))[0]) << _AXIS_BITS
+    return Piece(mesh, np.where(on_side, _edge_number(whole * finer), -1), first, cube.level, scale)
+
+
+def _edge_number(at: Floats) -> Ints:
+    """A number for each vertex of the finest lattice, by the edge or node that it lies on; grows with x."""
+    parts = np.rint(at / _SHARE_AT_NODE).astype(np.int64)
+    node, fraction = np.divmod(parts, round(1 / _SHARE_AT_NODE))
+    axis = np.where(fraction.any(1), fraction.argmax(1), _AT_NODE)
+    return np.asarray((_node_number(node) << _AXIS_BITS) + axis)
 
 
 def _node_number(node: Ints) -> Ints:
@@ -167,10 +193,13 @@ def _node_number(node: Ints) -> Ints:
     return np.asarray((((node[:, 0] << _NODE_BITS) + node[:, 1]) << _NODE_BITS) + node[:, 2])
 
 
-def _with_means(vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float, threads: int) -> ObjectMesh:
-    """The mesh with normals and standard deviations: means over the nearest points, weighted by distance."""
+def _with_means(
+    vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float, threads: int
+) -> tuple[ObjectMesh, Floats | None]:
+    """The mesh with normals and standard deviations: means over the nearest points, weighted by distance. The same of the points' scale."""
     away, near = scipy("spatial").cKDTree(points.points).query(vertices, _NEIGHBORS, workers=threads)
     share = 1 / (away**2 + cell**2)
     normals = unit((share[..., None] * points.normals[near]).sum(1))
     sigma = (share * points.sigma[near]).sum(1) / share.sum(1)
-    return ObjectMesh(vertices, normals, triangles, sigma, np.ones(len(vertices), bool))
+    scale = None if points.scale is None else (share * points.scale[near]).sum(1) / share.sum(1)
+    return ObjectMesh(vertices, normals, triangles, sigma, np.ones(len(vertices), bool)), scale

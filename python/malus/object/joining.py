@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from malus.errors import DataError
 from malus.object.arrays import GrowingArray, chunks
 from malus.object.meshing import ObjectMesh, connected, part_numbers
+from malus.object.views import Bools, Floats
 
 Ints = NDArray[np.int64]
 
@@ -22,6 +23,8 @@ _LEAST_PART = 0.005
 @dataclass(frozen=True)
 class Piece:
     """Part of a mesh. seam: N, the same number for a vertex here and in a neighboring piece; -1 for vertices that no other piece has.
+    level: how often the lattice's cells were halved for it. scale: N, side of the pixels that measured each vertex, in GSD of the object;
+    None if it is 1 for all.
 
     Seam numbers are never less than the `first_seam` of their piece. `first_seam` never decreases from one piece to the next.
     """
@@ -29,25 +32,34 @@ class Piece:
     mesh: ObjectMesh
     seam: Ints
     first_seam: int
+    level: int = 0
+    scale: Floats | None = None
+
+    def sure(self, most_sigma: float) -> Bools:
+        """Which vertices have a sigma of at most `most_sigma` (N), or of so many times as much as their pixels are larger."""
+        return np.asarray(self.mesh.sigma <= most_sigma * (1.0 if self.scale is None else np.maximum(self.scale, 1.0)))
 
 
 class _GrowingMesh:
     def __init__(self, folder: Path) -> None:
         self.vertices, self.normals = (GrowingArray(folder / name, np.float64, 3) for name in ("vertices", "normals"))
         self.sigma = GrowingArray(folder / "sigma", np.float64)
+        self.level = GrowingArray(folder / "level", np.uint8)
         self.triangles = GrowingArray(folder / "triangles", np.int64, 3)
 
-    def add(self, mesh: ObjectMesh, chosen: NDArray[np.bool_], triangles: Ints) -> None:
-        """Add the chosen vertices of a mesh, and triangles between any vertices."""
+    def add(self, mesh: ObjectMesh, chosen: Bools, triangles: Ints, level: NDArray[np.integer]) -> None:
+        """Add the chosen vertices of a mesh with their levels, and triangles between any vertices."""
         self.vertices.add(mesh.vertices[chosen])
         self.normals.add(mesh.normals[chosen])
         self.sigma.add(mesh.sigma[chosen])
+        self.level.add(level)
         self.triangles.add(triangles)
 
     def mesh(self) -> ObjectMesh:
+        level = self.level.array()
         return ObjectMesh(
             self.vertices.array(), self.normals.array(), self.triangles.array(), self.sigma.array(),
-            np.ones(self.vertices.rows, bool),
+            np.ones(self.vertices.rows, bool), level if level.any() else None,
         )  # fmt: skip
 
 
@@ -78,34 +90,43 @@ class _Seams:
 def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> ObjectMesh:
     """One mesh of all pieces, its arrays in files in `folder`.
 
-    Triangles with a vertex whose sigma exceeds `most_sigma` are dropped, and so are small separate parts. Raises DataError if no
-    triangle is left.
+    Triangles with a vertex whose sigma exceeds `most_sigma` (more where pixels are larger than the object's GSD) are dropped, and so are
+    small separate parts. Raises DataError if no triangle is left.
     """
     raw, parts_of = _GrowingMesh(folder / "raw"), GrowingArray(folder / "raw" / "parts", np.int64)
-    seams, links, sizes = _Seams(), [np.empty((0, 2), np.int64)], [np.empty(0, np.int64)]
+    seams, links, sizes = _Seams(), [np.empty((0, 2), np.int64)], [np.empty(0)]
     parts = 0
     for piece in pieces:
         mesh = piece.mesh
         found, at = seams.find(piece.seam)
+        # Two vertices of a piece that lie on one node are one vertex, as for the pieces beside it.
+        shared = np.flatnonzero(~found & (piece.seam >= 0))
+        _, first, where = np.unique(piece.seam[shared], return_index=True, return_inverse=True)
+        twin = shared[first[where]]
+        new = ~found
+        new[shared] = twin == shared
         numbers = np.empty(len(found), np.int64)
-        numbers[~found] = raw.vertices.rows + np.arange(int((~found).sum()))
+        numbers[new] = raw.vertices.rows + np.arange(int(new.sum()))
+        numbers[shared] = numbers[twin]
         numbers[found] = seams.number[at[found]]
-        kept = mesh.triangles[(mesh.sigma <= most_sigma)[mesh.triangles].all(1)]
+        kept = mesh.triangles[piece.sure(most_sigma)[mesh.triangles].all(1)]
         part = parts + part_numbers(kept, len(found))
-        links.append(np.stack([part[found], seams.part[at[found]]], 1))
-        new = ~found & (piece.seam >= 0)
-        seams.add(piece.seam[new], numbers[new], part[new], piece.first_seam)
+        links += [np.stack([part[found], seams.part[at[found]]], 1), np.stack([part[shared], part[twin]], 1)]
+        once = shared[first]
+        seams.add(piece.seam[once], numbers[once], part[once], piece.first_seam)
         triangles = numbers[kept]
         # A triangle whose seam vertices were merged has no area.
         real = (triangles != np.roll(triangles, 1, 1)).all(1)
-        raw.add(mesh, ~found, triangles[real])
+        raw.add(mesh, new, triangles[real], np.full(int(new.sum()), piece.level))
         of = part[kept[real, 0]]
         parts_of.add(of)
-        sizes.append(np.bincount(of - parts, minlength=part.max(initial=parts - 1) + 1 - parts))
+        # In triangles of whole cells, so that fine parts of the mesh do not make the others small.
+        count = np.bincount(of - parts, minlength=part.max(initial=parts - 1) + 1 - parts)
+        sizes.append(count.astype(np.float64) * 0.25**piece.level)
         parts += len(sizes[-1])
     whole = connected(np.concatenate(links), parts)
     size = np.bincount(whole, np.concatenate(sizes), max(parts, 1))
-    good = (size >= _LEAST_PART * raw.triangles.rows)[whole] & (size[whole] > 0)
+    good = (size >= _LEAST_PART * size.sum())[whole] & (size[whole] > 0)
     return _selected(raw.mesh(), good, parts_of.array(), folder)
 
 
@@ -120,7 +141,8 @@ def _selected(mesh: ObjectMesh, good: NDArray[np.bool_], parts_of: Ints, folder:
     kept = _GrowingMesh(folder / "kept")
     for rows in chunks(len(mesh.vertices)):
         part = ObjectMesh(mesh.vertices[rows], mesh.normals[rows], mesh.triangles[:0], mesh.sigma[rows], used[rows])
-        kept.add(part, used[rows], mesh.triangles[:0])
+        level = np.zeros(len(part.vertices), np.uint8) if mesh.level is None else mesh.level[rows]
+        kept.add(part, used[rows], mesh.triangles[:0], level[used[rows]])
     for rows in chunks(len(mesh.triangles)):
         kept.triangles.add(numbers[mesh.triangles[rows][good[parts_of[rows]]]])
     return kept.mesh()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
+from malus.object.arrays import chunks
 from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.views import Bools, Floats, scipy, unit
 from malus.photogrammetry.program import Colmap
@@ -34,6 +35,7 @@ _LEAST_PIECE = 0.005
 class ObjectMesh:
     """vertices, normals: N×3, world, station unit. triangles: M×3, counter-clockwise from outside. sigma: N, one standard
     deviation across the surface. measured: N, whether points support the vertex; elsewhere the surface is a guess that closes the mesh.
+    level: N, how often the lattice's cells were halved where the vertex is; None if nowhere.
     """
 
     vertices: Floats
@@ -41,19 +43,32 @@ class ObjectMesh:
     triangles: NDArray[np.int64]
     sigma: Floats
     measured: Bools
+    level: NDArray[np.uint8] | None = None
+
+    def shares(self, rows: slice) -> Floats:
+        """How much these vertices are to count in figures of the surface: less where the lattice is finer and they are more."""
+        return np.ones(len(self.sigma[rows])) if self.level is None else 0.25 ** self.level[rows].astype(np.float64)
+
+    def even(self) -> Bools:
+        """Vertices that are equally dense everywhere (N), for medians: all, but where the lattice is finer a random choice."""
+        random = np.random.default_rng(0)
+        parts = [random.random(len(share)) < share for share in map(self.shares, chunks(len(self.vertices)))]
+        return np.concatenate([np.empty(0, bool), *parts])
 
 
-def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap) -> ObjectMesh:
+def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap, halved: int = 0) -> ObjectMesh:
     """Closed mesh of oriented points; `folder` keeps the cloud, COLMAP's mesh and its log.
 
-    Cells are as fine as the GSD, except for objects larger than 8000 GSD. Raises DataError if there is no surface.
+    Cells are as fine as the GSD halved so often, except for objects larger than 8000 cells; where points are sparser, they are larger.
+    Raises DataError if there is no surface.
     """
     if len(points.points) < 100:
         raise DataError(f"{len(points.points)} points of the stations agree, expected at least 100")
     middle = points.points.mean(0)  # Relative to the middle, single precision suffices.
     local = (points.points - middle).astype(np.float32)
     extent = float(np.ptp(local, axis=0).max())
-    depth = int(np.clip(math.ceil(math.log2(1.1 * extent / (_CELL_GSD * gsd))), _LEAST_DEPTH, _MOST_DEPTH))
+    cells = 1.1 * extent / (_CELL_GSD * gsd) * 2**halved
+    depth = int(np.clip(math.ceil(math.log2(cells)), _LEAST_DEPTH, _MOST_DEPTH))
     cloud, raw = (folder / name for name in _FILES)
     properties = columns("xyz", local, "f4") | columns(("nx", "ny", "nz"), points.normals, "f4")
     gray = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
@@ -83,11 +98,17 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
     `folder` keeps COLMAP's log. Raises what `poisson_mesh` raises.
     """
     points = OrientedPoints(mesh.vertices, mesh.normals, mesh.sigma, np.ones(len(mesh.vertices), np.int64))
+    halved = 0 if mesh.level is None else int(mesh.level.max())
     try:
-        return poisson_mesh(points, gsd, folder, colmap)
+        closed = poisson_mesh(points, gsd, folder, colmap, halved)
     finally:
         for name in _FILES:
             (folder / name).unlink(missing_ok=True)
+    if mesh.level is None:
+        return closed
+    # Cells of Poisson's octree go down to half of the points' spacing.
+    nearest = scipy("spatial").cKDTree(mesh.vertices).query(closed.vertices, workers=1)[1]
+    return replace(closed, level=np.minimum(mesh.level[nearest] + 1, halved).astype(np.uint8))
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:

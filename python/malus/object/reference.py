@@ -89,7 +89,7 @@ def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
     """The reference moved onto the mesh by the ICP of `malus assess`, and whether the ICP converged. With a cloud, whose tangent planes
     change from point to point, it may keep moving a little. DataError if no part of the reference is near.
     """
-    measured = np.flatnonzero(mesh.measured)
+    measured = np.flatnonzero(mesh.measured & mesh.even())
     points = np.ascontiguousarray(mesh.vertices[measured[:: max(1, len(measured) // _SURFACE_POINTS)]])
     found = _core.align_with_reference(
         points, reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads
@@ -104,7 +104,7 @@ def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
 def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> Comparison:
     """Distances of a mesh from a reference in the same frame, and the completeness of the mesh.
 
-    Guessed parts that close the mesh get distances, but do not count in the figures.
+    Guessed parts that close the mesh get distances, but do not count in the figures, in which all of the surface counts alike.
     """
     distances = np.concatenate(
         [
@@ -116,7 +116,7 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
             for start in range(0, len(mesh.vertices), _MOST_AT_ONCE)
         ]
     )  # fmt: skip
-    counted = distances[mesh.measured] / gsd
+    counted = distances[mesh.measured & mesh.even()] / gsd
     compared = counted[np.isfinite(counted)]
     if not len(compared):
         raise DataError(_FAR_AWAY)

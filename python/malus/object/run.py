@@ -285,6 +285,7 @@ def _fuse(
 def _all_points(views: Sequence[View], clouds: Sequence[OrientedPoints], gsd: float) -> OrientedPoints:
     """Points of the object's surface: means over the stations, and points of stereo where no station measured."""
     points, _ = agreement.combine(views, agreement.joined(clouds))
+    points = agreement.without_coarser(points, gsd)
     stereo = [agreement.unseen_stereo(cloud, views, points) for cloud in clouds]
     return agreement.without_outliers(agreement.joined([points, *stereo]), gsd)
 
@@ -380,7 +381,7 @@ def _write_comparison(
 
 @dataclass(frozen=True)
 class Coverage:
-    """Shares of the vertices that each station sees, and that no other station sees."""
+    """Shares of the surface that each station sees, and that no other station sees."""
 
     seen: Floats
     alone: Floats
@@ -389,13 +390,16 @@ class Coverage:
 def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, str], scratch: Path) -> Coverage:
     colors, stations = GrowingArray(scratch / "colors", np.uint8, 3), GrowingArray(scratch / "stations", np.uint8)
     seen, alone = np.zeros(len(paint.views)), np.zeros(len(paint.views))
+    total = 0.0
     for rows in chunks(len(mesh.vertices)):
         points, normals = mesh.vertices[rows], mesh.normals[rows]
         by = np.stack([sees(view, points, normals) for view in paint.views])
         colors.add(paint.srgb(points, normals))
         stations.add(np.minimum(by.sum(0), 255))  # a byte in the file
-        seen += by.sum(1)
-        alone += (by & (by.sum(0) == 1)).sum(1)
+        share = mesh.shares(rows)
+        seen += by @ share
+        alone += (by & (by.sum(0) == 1)) @ share
+        total += float(share.sum())
     # Coordinates far from the origin need more than single precision.
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     far = np.maximum(-low, high).max() > 1e4 * (high - low).max() / 1e3
@@ -404,8 +408,7 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, s
     values |= columns(("red", "green", "blue"), colors.array(), "u1")
     values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations.array(), "u1")}
     write_ply(path, values, mesh.triangles, *(f"{key}: {words}" for key, words in said.items()))
-    count = len(mesh.vertices)
-    return Coverage(seen / count, alone / count)
+    return Coverage(seen / total, alone / total)
 
 
 def is_closed(triangles: NDArray[np.int64]) -> bool:
@@ -418,13 +421,15 @@ def is_closed(triangles: NDArray[np.int64]) -> bool:
 
 def mesh_figures(mesh: ObjectMesh, gsd: float, wanted_closed: bool) -> dict[str, Any]:
     """Size of the mesh, whether it is closed, how much of it was measured and how well."""
+    even = mesh.even()
+    measured = mesh.measured & even
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         # The check takes the whole mesh into memory. Closing does so, too; a large mesh with open borders stays on disk.
         "closed": (wanted_closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY) and is_closed(mesh.triangles),
-        "measured_fraction": float(mesh.measured.mean()),
-        "sigma_median_gsd": float(np.median(mesh.sigma[mesh.measured]) / gsd) if mesh.measured.any() else None,
+        "measured_fraction": float(mesh.measured[even].mean()),
+        "sigma_median_gsd": float(np.median(mesh.sigma[measured]) / gsd) if measured.any() else None,
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
     }
 

@@ -91,7 +91,7 @@ class _Cells:
             self.pixels[self.row + i, self.column + j] = True
         self.number = np.full(usable.shape, -1)
         self.number[self.pixels] = np.arange(int(self.pixels.sum()))
-        self.eye = view.eye
+        self.view, self.eye = view, view.eye
         self._from_eye = _grid_points(view, window) - view.eye
         self.of_corner = [self.number[self.row + i, self.column + j] for i, j, _, _ in _CORNERS]
         #: Standard deviation of each pixel's place across the surface, in GSD.
@@ -183,7 +183,10 @@ def _growth(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> Floats:
 
 
 def _asked(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> list[tuple[Ints, Floats, Floats]]:
-    """For each station: the cells that it sees, the degree of polarization there, and the two planes."""
+    """For each station: the cells that it sees, the degree of polarization there, and the two planes.
+
+    A station with larger pixels is not asked: its phase is a mean over detail that the cells have, and would smooth it.
+    """
     corners = cells.corners(np.zeros(cells.unknowns))
     points = cells.eye + sum(corners) / 4
     normals = unit(_areas(corners))
@@ -193,7 +196,8 @@ def _asked(cells: _Cells, stations: Sequence[tuple[View, Phases]]) -> list[tuple
             continue
         at = station.meet(points)
         near = np.abs(at.off(points)) < 2 * station.gsd
-        which = np.flatnonzero((at.weight > 0) & near & (station.facing(points, normals) > LEAST_COSINE))
+        coarser = cells.view.finer(cells.view.facing(points, normals), station, at.weight)
+        which = np.flatnonzero((at.weight > 0) & near & ~coarser & (station.facing(points, normals) > LEAST_COSINE))
         asked.append((which, *phases.planes(station, points[which])))
     return asked
 

@@ -17,7 +17,7 @@ from malus.object.color import Paint
 from malus.object.meshing import ObjectMesh, face_normals, sums_at_vertices, vertex_normals
 from malus.object.views import Floats, scipy, unit
 
-#: Texels per GSD, and the longest side of the texture.
+#: Texels per GSD (of the cells where the mesh's lattice is finer), and the longest side of the texture.
 _TEXELS_PER_GSD = 1.5
 _MOST_SIDE = 8192
 #: Width of the margin of empty texels about a chart that take the border's values, so that filtering shows no seam.
@@ -82,7 +82,8 @@ def textured(
         library = extra("fast_simplification", "fast-simplification", "the texture of an object", "object")
         points, triangles = library.simplify(points.astype(np.float32), triangles.astype(np.int32), target_count=faces)
         points = points.astype(np.float64)
-    side, original, triangles, uv = _atlas(points, triangles, coarseness)
+    levels = _levels(mesh, gsd * points[triangles].mean(1) + middle)
+    side, original, triangles, uv = _atlas(points, triangles, levels, coarseness)
     normals = vertex_normals(points, original[triangles])[original]
     points = gsd * points[original] + middle
     tangents = _tangents(points, normals, uv, triangles)
@@ -193,23 +194,47 @@ class NearestVertices:
             margin = 2 * margin + 1e-9
 
 
+def _levels(full: ObjectMesh, places: Floats) -> NDArray[np.integer]:
+    """How often the full mesh's cells were halved at each place (N×3)."""
+    if full.level is None:
+        return np.zeros(len(places), np.uint8)
+    find = NearestVertices(full)
+    return np.concatenate([np.empty(0, np.uint8), *(full.level[find(places[some])] for some in chunks(len(places)))])
+
+
 def _atlas(
-    points: Floats, triangles: NDArray[Any], coarseness: int
+    points: Floats, triangles: NDArray[Any], levels: NDArray[np.integer], coarseness: int
 ) -> tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates. points: N×3, in GSD."""
+    """Side of the texture in texels, the point of each vertex of the atlas, its triangles, and texture coordinates. points: N×3, in GSD.
+
+    levels: of each triangle; one level more halves its texels' side, if the texture does not become too large.
+    """
     xatlas = extra("xatlas", "xatlas", "the texture of an object", "object")
-    area = np.linalg.norm(face_normals(points, triangles), axis=1).sum() / 2
-    side = int(np.clip(math.sqrt(area / 0.6) * _TEXELS_PER_GSD, 64, _MOST_SIDE)) // coarseness
+    areas = np.linalg.norm(face_normals(points, triangles), axis=1)
+    while (wanted := math.sqrt((areas * 4.0**levels).sum() / 2 / 0.6) * _TEXELS_PER_GSD) > _MOST_SIDE and levels.any():
+        levels = np.maximum(levels.astype(np.int64) - 1, 0)
+    side = int(np.clip(wanted, 64, _MOST_SIDE)) // coarseness
     atlas = xatlas.Atlas()
-    atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
+    parts = []
+    for level in np.unique(levels).tolist():
+        # A part of its own, enlarged: all charts get as many texels for their size.
+        own = triangles[levels == level]
+        used = np.arange(len(points)) if len(own) == len(triangles) else np.unique(own)
+        atlas.add_mesh((2**level * points[used]).astype(np.float32), np.searchsorted(used, own).astype(np.uint32))
+        parts.append(used)
     packing = xatlas.PackOptions()
     packing.resolution, packing.padding = side, _MARGIN_PX
     atlas.generate(pack_options=packing)
-    original, indices, uv = atlas[0]
-    # xatlas packs into a rectangle and gives shares of its sides; a square texture holds it.
-    uv = uv.astype(np.float64) * (atlas.width, atlas.height)
+    original, corners, places, count = [], [], [], 0
+    for number, used in enumerate(parts):
+        of, indices, uv = atlas[number]
+        original.append(used[of])
+        corners.append(indices.astype(np.int64) + count)
+        # xatlas packs into a rectangle and gives shares of its sides; a square texture holds it.
+        places.append(uv.astype(np.float64) * (atlas.width, atlas.height))
+        count += len(of)
     side = max(atlas.width, atlas.height)
-    return side, original.astype(np.int64), indices.astype(np.int64), uv / side
+    return side, np.concatenate(original), np.concatenate(corners), np.concatenate(places) / side
 
 
 def _texels(

@@ -22,6 +22,8 @@ Bools = NDArray[np.bool_]
 
 #: Rims are not used: places where the cosine of the angle between normal and viewing ray is smaller.
 LEAST_COSINE = 0.17
+#: Pixels, and standard deviations, that differ by less than this factor count as equally large.
+ALIKE = 1.25
 #: Up to this many pixels from a step in depth or from the contour, pixels mix foreground and background.
 _RIM_PX = 2
 #: A depth difference of more than this many GSD between neighboring pixels, widened by the slope, is a step.
@@ -91,6 +93,19 @@ class View:
     def usual_sigma(self) -> float:
         """Median standard deviation where the surface is usable; the GSD if it is so nowhere."""
         return float(np.median(self.sigma[self.usable])) if self.usable.any() else self.gsd
+
+    def resolves_more(self, other: View) -> bool:
+        """Whether this view's pixels are clearly smaller than another's and its surface is as sure: it has detail that the other has not."""
+        return other.gsd > ALIKE * self.gsd and self.usual_sigma <= ALIKE * other.usual_sigma
+
+    def finer(self, cosine: Floats, other: View, other_cosine: Floats) -> Bools:
+        """Which places this view shows in more detail than another does, by the cosines (N) of the angles under which they see them.
+
+        A pixel covers the more of a surface the flatter it sees it, so that a near view at a flat angle may be the coarser one.
+        """
+        if not self.resolves_more(other):
+            return np.zeros(len(cosine), bool)
+        return np.asarray(other.gsd * cosine > ALIKE * self.gsd * other_cosine)
 
     def points_at(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:
         """World points (…×3) of the surface in these pixels."""
