@@ -453,9 +453,9 @@ class RefineSection(Section):
     surroundings_iterations: int
     """number of rounds, of one step each, if a map of the surroundings is fitted: map and surface converge slowly together"""
     fine_iterations: int
-    """rounds at full resolution after those at half the resolution"""
+    """rounds at full resolution after those at half the resolution; with a map of the surroundings one more"""
     coarsest_px: float
-    """if the search runs, objects are first refined at half the resolution, repeatedly, as long as the root of their number of pixels stays at least this, in px"""
+    """if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, repeatedly, as long as the root of their number of pixels stays at least this (with a map 1.5 times this), in px"""
     more_iterations: int
     """largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD"""
     steps: int

@@ -64,4 +64,6 @@ def refine(
     `status` says how the solver ended, and `warnings` lists its warnings.
     """
     name, labels = as_reflection(reflection, state.degree.shape)
-    return _core.refine(state, prior, refractive_index, name, labels, as_metal(metal), (options or Options()).to_json(), threads)
+    return _core.refine(
+        state, prior, refractive_index, name, labels, as_metal(metal), (options or Options()).to_json(), threads
+    )
