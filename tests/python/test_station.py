@@ -192,7 +192,7 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
         ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
         ({"optics": {"reflection": "matte"}}, r"\[optics\].reflection.*file of a label image"),
-        ({"metal": "bronz"}, r"\[optics\].metal = \"bronz\", expected .*\"bronze\""),
+        ({"metal": "bronz"}, r"\[optics\].metal = .bronz., expected .*\"bronze\""),
         ({"metal": [0.7, 0.0]}, r"\[optics\].metal.*k from 0.5 to 20"),
         ({"metal": "bronze"}, r"\[optics\].metal.*reflection = \"diffuse\""),
         ({"metal": (0.7, 2.6), "reflection": np.ones(SIZE)}, r"\[optics\].metal.*labels of the reflection"),
