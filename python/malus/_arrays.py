@@ -161,10 +161,12 @@ def as_labels(values: ArrayLike, name: str, shape: tuple[int, ...]) -> NDArray[n
     return np.ascontiguousarray(array, np.uint8)
 
 
-def as_metal(metal: str | Sequence[float]) -> str:
-    """The metal as a text of the station file; the pair (n, k) of a refractive index becomes "n+ki"."""
+def as_metal(metal: str | complex | Sequence[float]) -> str:
+    """The metal as a text of the station file; a refractive index, n + k i or (n, k), becomes "n+ki"."""
     if isinstance(metal, str):
         return metal
+    if isinstance(metal, complex):
+        metal = (metal.real, metal.imag)
     index = as_numbers(metal, "metal")
     if index.shape != (2,):
         raise ValueError(

@@ -48,7 +48,7 @@ def refine(
     *,
     refractive_index: float | None = 1.5,
     reflection: str | ArrayLike = "auto",
-    metal: str | Sequence[float] = "auto",
+    metal: str | complex | Sequence[float] = "auto",
     options: Options | None = None,
     threads: int = ALL_CORES,
 ) -> FusedSurface:
@@ -56,8 +56,8 @@ def refine(
 
     reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide). Anything but "auto"
     excludes the map of the surroundings, and that the object is taken for bare metal unless `metal` states it.
-    metal: "auto", "none", the name of the bare metal that the whole object is of (docs/station-file.md), or the two numbers n and
-    k of its refractive index.
+    metal: "auto", "none", the name of the bare metal that the whole object is of (docs/station-file.md), or its
+    refractive index, n + k i or (n, k).
 
     The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted, by
     refinement and comparison with the prior; the functions of malus.evidence say whether prior and images fit each other.

@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_images, as_labels, as_mask, as_numbers, as_rows, as_triangles, require_shares
+from malus._arrays import (
+    as_image,
+    as_images,
+    as_labels,
+    as_mask,
+    as_metal,
+    as_numbers,
+    as_rows,
+    as_triangles,
+    require_shares,
+)
 from malus._files import require_utf8
 from malus._plain import plain
 from malus.camera import Camera
@@ -166,7 +176,7 @@ class Station:
         unit: str = "mm",
         refractive_index: float | None = 1.5,
         reflection: str | ArrayLike = "auto",
-        metal: str | Sequence[float] = "auto",
+        metal: str | complex | Sequence[float] = "auto",
         frames_averaged: int = 1,
         full_well_e: float | None = None,
         read_noise_e: float | None = None,
@@ -191,7 +201,7 @@ class Station:
         give the camera's pose, too. The polarization maps and the height from them need neither prior nor camera (None);
         everything else does. prior_sigma: standard deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object.
         refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide) as taken.
-        metal: "auto", "none", the bare metal's name or the two numbers of its index n + i k.
+        metal: "auto", "none", the bare metal's name or its refractive index, n + k i or (n, k).
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
         channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
@@ -313,10 +323,11 @@ def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
     return angles
 
 
-def _optics(refractive_index: float | None, reflection: Any, metal: str | Sequence[float]) -> dict[str, Any]:
+def _optics(refractive_index: float | None, reflection: Any, metal: str | complex | Sequence[float]) -> dict[str, Any]:
     """[optics] by the arguments."""
     index = "auto" if refractive_index is None else refractive_index
-    return {"refractive_index": index, "reflection": reflection, "metal": metal}
+    named = as_metal(metal) if isinstance(metal, complex) else metal
+    return {"refractive_index": index, "reflection": reflection, "metal": named}
 
 
 def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:

@@ -396,7 +396,8 @@ def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
 
 def test_a_metal_is_stated_by_name_or_index(pictures: list[np.ndarray]) -> None:
     assert in_memory(pictures, reflection="auto", metal="bronze").describe()["metal"] == "bronze"
-    assert in_memory(pictures, reflection="auto", metal=np.array([0.7, 2.6])).describe()["metal"] == "0.7+2.6i"
+    for index in (np.array([0.7, 2.6]), 0.7 + 2.6j, np.complex128(0.7, 2.6)):
+        assert in_memory(pictures, reflection="auto", metal=index).describe()["metal"] == "0.7+2.6i"
 
 
 def test_metals_of_page_and_documentation_are_those_of_the_parser(pictures: list[np.ndarray]) -> None:

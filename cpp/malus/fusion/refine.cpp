@@ -741,6 +741,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
     image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");
   const MetalStatement metal = accepted_metal(input.metal, input.reflection, "optics.metal");
   RefineResult result;
+  result.report.metal_excluded = metal.excluded;
   Refiner refiner(image, options, result.report, context);
   refiner.label(input);
   if (metal.names_metal()) {

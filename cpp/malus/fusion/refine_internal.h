@@ -70,6 +70,7 @@ struct RefineReport {
   double lobe_strength_sigma = 0, lobe_roughness_sigma = 0, light_sigma_rad = 0;
   double mirror_body_sigma = 0, mirror_environment_sigma = 0;
   bool metal = false;              ///< reflects like a metal, for which the dielectric formulas do not hold
+  bool metal_excluded = false;     ///< optics.metal = "none"
   double specular_share = 0;       ///< of the object's pixels
   Image<std::uint8_t> label;       ///< 0 = outside, 1 = diffuse, 2 = specular
   Image<std::uint8_t> confidence;  ///< weight of the polarization of each pixel, 0 … 255

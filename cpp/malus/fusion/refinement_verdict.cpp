@@ -70,9 +70,13 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
   const ConfidenceLevel most = is_the_prior(report) ? ConfidenceLevel::partial : ConfidenceLevel::low;
   if (report.metal) {
     warn(most,
-         "The polarization has the direction of a mirror reflection but is much weaker than a dielectric's: the "
-         "surface is probably bare metal, for which the Fresnel formulas used here do not hold. If it is, state which "
-         "one as metal in [optics].",
+         std::string("The polarization has the direction of a mirror reflection but is much weaker than a "
+                     "dielectric's") +
+             (report.metal_excluded
+                  ? ". optics.metal = \"none\" states that the surface is not bare metal, so the light is probably "
+                    "polarized already, or mirrored twice. The Fresnel formulas used here do not hold for it."
+                  : ": the surface is probably bare metal, for which the Fresnel formulas used here do not hold. If it "
+                    "is, state which one as metal in [optics]."),
          surface);
   }
   if (report.stated_metal) judge_stated_metal(*report.stated_metal, most, surface);

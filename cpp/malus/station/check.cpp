@@ -189,10 +189,12 @@ std::string describe_images(const Station& station) {
   return text;
 }
 
-/// The refinement of an object of a stated metal, in words; nothing without one.
-std::string describe_metal(const OpticsSpec& optics) {
+/// What a stated metal means for the fusion, in words; nothing without one.
+std::string describe_metal(const OpticsSpec& optics, Fusion fusion) {
   const MetalStatement metal = accepted_metal(optics.metal, optics.reflection, "optics.metal");
   if (!metal.names_metal()) return {};
+  if (fusion == Fusion::grid)
+    return "the surface of a dielectric: optics.metal = \"" + metal.text + "\" changes the refinement only";
   return "the surface of bare metal, as optics.metal = \"" + metal.text + "\" states, with the refractive index " +
          metal_index_text(metal.index.real(), metal.index.imag());
 }
@@ -249,9 +251,8 @@ Plan check_station(const Station& station, const Options& options, const Context
         "`malus decompose` and `malus height` show what polarization alone tells");
   }
 
-  if (options.fusion == Fusion::refined) {
-    if (const std::string metal = describe_metal(station.file.optics); !metal.empty()) details["fuse"] = metal;
-  }
+  if (const std::string metal = describe_metal(station.file.optics, options.fusion); !metal.empty())
+    details["fuse"] = metal;
   if (const std::string scale = describe_scale(station.file); !scale.empty()) plan.does.push_back("scale: " + scale);
   if (!station.file.frame_is_of_photos()) {
     if (const std::string control = describe_control(station.file); !control.empty())

@@ -321,6 +321,7 @@ TEST(Surroundings, AnObjectThatIsStatedToBeNoMetalIsNotTakenForOne) {
   const RefineResult result = refine(station.state, station.prior, input, quick(), Context{});
   EXPECT_EQ(result.report.metal_index, 0.0);
   EXPECT_FALSE(says(result, "taken for bare metal"));
+  EXPECT_FALSE(says(result, "probably bare metal"));
 }
 
 TEST(Surroundings, AStatedMetalThatContradictsTheReflectionIsRefused) {

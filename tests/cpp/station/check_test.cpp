@@ -39,9 +39,9 @@ PointCloud cloud_of(const Station& station) {
   return cloud;
 }
 
-std::string plan_of(const Station& station) {
+std::string plan_of(const Station& station, const Options& options = {}) {
   std::string does;
-  for (const std::string& line : check_station(station, {}, {}).does) does += line + "\n";
+  for (const std::string& line : check_station(station, options, {}).does) does += line + "\n";
   return does;
 }
 
@@ -153,6 +153,10 @@ TEST(CheckStation, SaysThatTheObjectIsTreatedAsAStatedMetal) {
   station.file.optics.metal = "bronze";
   expect_contains(plan_of(station), "fuse: the surface of bare metal, as optics.metal = \"bronze\" states");
   expect_contains(plan_of(station), "0.519+2.415i");
+  Options grid;
+  grid.fusion = Fusion::grid;
+  expect_contains(plan_of(station, grid),
+                  "the surface of a dielectric: optics.metal = \"bronze\" changes the refinement");
 }
 
 /// Two triangles at this z that fill the view.
