@@ -47,30 +47,32 @@ LATER = (
 
 #: Refinement for tests that do not check the surface: without the fits of highlight and surroundings, which take most of the time.
 QUICK = {"lobe": False, "surroundings": False}
-#: A given smoothing of the prior's points, for tests that do not check the prior: the search for the best one takes most of its time.
-GIVEN_SMOOTHING = ("--set", "prior.smoothing_px=4")
-QUICK_WORDS = (*(word for name in QUICK for word in ("--set", f"refine.{name}=false")), *GIVEN_SMOOTHING)
+QUICK_WORDS = tuple(word for name in QUICK for word in ("--set", f"refine.{name}=false"))
 
 #: Files whose tests take longest. They run first, so that no pytest-xdist worker is still busy with one when all others are done.
 LONGEST_FIRST = (
-    "test_photos.py",
-    "test_object.py",
-    "test_pipeline.py",
-    "test_studio.py",
     "test_docs.py",
-    "test_paper.py",
-    "test_batch.py",
-    "test_polarizer.py",
-    "test_control.py",
-    "test_report.py",
-    "test_archive.py",
-    "test_exports.py",
-    "test_registration.py",
-    "test_synthetic.py",
-    "test_mosaic.py",
-    "test_evidence.py",
-    "test_object_reference.py",
+    "test_object.py",
     "test_studio_in_haste.py",
+    "test_photos.py",
+    "test_studio.py",
+    "test_pipeline.py",
+    "test_batch.py",
+    "test_exports.py",
+    "test_paper.py",
+    "test_polarizer.py",
+    "test_object_reference.py",
+    "test_report.py",
+    "test_control.py",
+    "test_limits.py",
+    "test_registration.py",
+    "test_benchmarks.py",
+    "test_object_detail.py",
+    "test_bad_input.py",
+    "test_mosaic.py",
+    "test_archive.py",
+    "test_synthetic.py",
+    "test_evidence.py",
 )
 
 

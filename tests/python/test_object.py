@@ -821,7 +821,7 @@ def test_stations_are_found_in_the_photos_they_share(tmp_path: Path) -> None:
         edit(tmp_path / name / "station.toml", 'folder = "views"', 'folder = "../a/views"')
     file = tmp_path / "object.toml"
     file.write_text(
-        'object = { stations = ["*/station.toml"] }\n[options.photos]\nmax_features = 1500\n[options.prior]\nsmoothing_px = 4\n[options.sweep]\nagain = false\n'
+        'object = { stations = ["*/station.toml"] }\n[options.photos]\nmax_features = 1500\n[options.sweep]\nagain = false\n'
     )
     thing = Object.load(file)
     frame = find_frame(thing, tmp_path / "out", 2, lambda *_: None)

@@ -21,7 +21,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import GIVEN_SMOOTHING, QUICK, QUICK_WORDS, edit, half_written, malus_here, malus_station, run_program
+from conftest import QUICK, QUICK_WORDS, edit, half_written, malus_here, malus_station, run_program
 from conftest import malus as run_malus
 from malus.overlay import draw_overlay
 
@@ -545,7 +545,6 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
         "--fusion",
         "grid",
         "--json",
-        *GIVEN_SMOOTHING,
     ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
@@ -565,7 +564,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     manifest = json.loads((work / "manifest.json").read_text())
     assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "evidence", "zenith"}
     assert not half_written(work)
-    outcome = malus_here("assess", small_station, "-o", work, "--fusion", "grid", "--json", *GIVEN_SMOOTHING)
+    outcome = malus_here("assess", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     kept = {
         e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"

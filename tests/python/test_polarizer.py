@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 import malus
-from conftest import EXAMPLE, GIVEN_SMOOTHING, edit, malus_station
+from conftest import EXAMPLE, edit, malus_station
 from malus import _core
 from malus.synthetic import write_station
 
@@ -29,8 +29,7 @@ def relief(tmp_path: Path) -> Path:
 
 def calibration(station: Path, *options: str, work: Path | None = None) -> tuple[dict[str, Any], Path]:
     work = work or station.parent / "work"
-    words = ("--until", "polarizer", "--threads", "2", *GIVEN_SMOOTHING)
-    outcome = malus_station(station, "-o", work, *words, *options)
+    outcome = malus_station(station, "-o", work, "--until", "polarizer", "--threads", "2", *options)
     assert outcome.code == 0, outcome.err
     manifest = json.loads((work / "manifest.json").read_text())
     return manifest["steps"]["polarizer"]["notes"]["calibration"], work
@@ -105,8 +104,7 @@ def test_wrong_zero_is_corrected_and_reported_and_only_reported_when_calibration
 
 def test_wrong_zero_is_corrected_on_arrays(relief: Path) -> None:
     """Only the run of a station could."""
-    options = malus.Options(prior={"smoothing_px": 4})
-    coarse = malus.reconstruct(malus.Station.load(relief), options, until="prior", threads=2)
+    coarse = malus.reconstruct(malus.Station.load(relief), until="prior", threads=2)
     assert coarse.prior_depth is not None and coarse.camera is not None
     normals = malus.surface.normals_from_depth(coarse.prior_depth, coarse.camera)
     readings = np.arange(0.0, 180.0, 30.0)
@@ -142,7 +140,7 @@ def test_correct_angles_are_not_changed_by_a_wide_highlight(tmp_path: Path) -> N
 def test_wrong_angle_direction_is_an_error(relief: Path) -> None:
     edit(relief, 'angle_direction = "ccw"', 'angle_direction = "cw"')
     work = relief.parent / "work"
-    outcome = malus_station(relief, "-o", work, *GIVEN_SMOOTHING)
+    outcome = malus_station(relief, "-o", work)
     assert outcome.code == 2
     assert "angle_direction is the wrong way round" in outcome.err
     assert not (work / "fused/depth.tif").exists()
@@ -172,7 +170,7 @@ def test_unknown_angles_cannot_be_left_uncalibrated(relief: Path) -> None:
 
 def test_angles_in_another_order_are_reported_but_not_adopted(relief: Path) -> None:
     edit(relief, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
-    outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarizer", *GIVEN_SMOOTHING)
+    outcome = malus_station(relief, "-o", relief.parent / "work", "--until", "polarizer")
     assert outcome.code == 0, outcome.err
     assert "in the order of the images" in outcome.err
     manifest = json.loads((relief.parent / "work/manifest.json").read_text())
