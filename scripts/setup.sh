@@ -42,6 +42,23 @@ source_state() {
     LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
 
+# The packages that Malus needs, with those of the Python tests if the tests are built.
+required_packages() {
+  .venv/bin/python - $with_tests <<'END'
+import re, sys, tomllib
+with open("pyproject.toml", "rb") as file:
+    project = tomllib.load(file)["project"]
+extras, wanted = project["optional-dependencies"], list(project["dependencies"])
+if sys.argv[1] == "ON":
+    wanted += extras["test"]
+for package in wanted:  # which grows by the packages of the extras that it names
+    if own := re.fullmatch(r"malus\[(.*)\]", package):
+        wanted += [other for name in own[1].split(",") for other in extras[name]]
+    else:
+        print(package)
+END
+}
+
 # One CMake tree, build/, serves all scripts: scikit-build-core builds the extension in it, together with malus-station and
 # the C++ tests, and installs the Python part into .venv. A tree that was once built with tests is always built with tests.
 build() {
@@ -55,10 +72,12 @@ build() {
   .venv/bin/python -m pip install -q --disable-pip-version-check "scikit-build-core>=0.10" "pybind11>=2.12"
   local settings=(build-dir=build cmake.define.MALUS_BUILD_APP=ON cmake.define.MALUS_BUILD_TESTS=$with_tests
                   cmake.define.MALUS_WERROR=ON cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
-  CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation \
+  # The packages that Malus and its Python tests need are installed while the compiler runs. They are built, if they have no wheel, with
+  # the tools that they require, and Malus with those in .venv.
+  required_packages | .venv/bin/python -m pip install -q --disable-pip-version-check -r /dev/stdin & local others=$!
+  CMAKE_GENERATOR=Ninja .venv/bin/python -m pip install -q --disable-pip-version-check --no-build-isolation --no-deps \
     "${settings[@]/#/--config-settings=}" .
-  # A separate call with build isolation: packages without a wheel are built with the tools that they require, not with those in .venv.
-  [ "$with_tests" = OFF ] || .venv/bin/python -m pip install -q --disable-pip-version-check "malus[test]"
+  wait $others
   echo "$state" > .venv/malus-source-state
 }
 

@@ -145,10 +145,10 @@ def test_changed_or_missing_inputs_are_refused(
 
 def test_a_changed_object_description_recomputes_nothing(tiny_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    assert malus_here("run", tiny_station, "-o", work, "--fusion", "grid").code == 0
+    assert malus_here("assess", tiny_station, "-o", work, "--fusion", "grid").code == 0
     before = malus.Workspace(work).manifest["times"]
     edit(tiny_station, 'maker = "unknown mason"', 'maker = "Phidias"')
-    assert malus_here("run", tiny_station, "-o", work, "--fusion", "grid").code == 0
+    assert malus_here("assess", tiny_station, "-o", work, "--fusion", "grid").code == 0
     after = malus.Workspace(work)
     assert after.quality["object"]["maker"] == "Phidias"
     assert after.manifest["times"]["fuse"] == before["fuse"]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from conftest import edit, half_written, malus, malus_station
+from conftest import edit, half_written, malus, malus_here, malus_station
 from malus import InputError, Station, _core
 from malus.campaign import Campaign
 from malus.object import Object
@@ -24,8 +24,8 @@ def expect(
     station: Path, work: Path, code: int, *words: str, arguments: tuple[str, ...] = (), warnings: int = 0
 ) -> None:
     """Both programs must fail with this exit code, one message with these words, this many warnings, and no result left behind."""
-    for program in (malus, malus_station):
-        run_words = ("run",) if program is malus else ()
+    for program in (malus_here, malus_station):
+        run_words = ("run",) if program is malus_here else ()
         outcome = program(*run_words, station, "-o", work, "--quiet", *arguments)
         assert outcome.code == code, f"{program.__name__}: {outcome}"
         for word in words:

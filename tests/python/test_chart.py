@@ -85,7 +85,7 @@ def test_textures_are_corrected_by_the_chart(tmp_path: Path) -> None:
         gray = np.asarray(Image.open(path)).astype(float)
         tifffile.imwrite(path, np.rint(gray[..., None] * (CAMERA @ paint)).astype(np.uint16), photometric="rgb")
     work = tmp_path / "work"
-    assert malus_here("run", station, "-o", work, "--fusion", "grid", "--quiet").code == 0
+    assert malus_here("assess", station, "-o", work, "--fusion", "grid", "--quiet").code == 0
     correction = chart.ColorCorrection(np.linalg.inv(CAMERA), np.zeros(24), np.zeros(24), np.zeros((4, 2)), "here")
     file = correction.save(tmp_path / "chart.json")
     told = malus_here("export", work, "--format", "obj", "--chart", file, "-o", tmp_path / "a.obj")

@@ -152,9 +152,9 @@ def test_closing_lines_of_a_surface_that_lies_nowhere_near_its_reference(finishe
     assert "  distance to the reference: no pixel near the reference" in lines
 
 
-def test_missing_convergence_is_explained_in_plain_words(small_station_source: Path, tmp_path: Path) -> None:
+def test_missing_convergence_is_explained_in_plain_words(tiny_station_source: Path, tmp_path: Path) -> None:
     outcome = malus_here(
-        "run", small_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",
+        "run", tiny_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",
         "--set", "height.iterations=1", "--set", "optimize.enabled=true",
     )  # fmt: skip
     assert outcome.code == 0, outcome.err

@@ -20,6 +20,8 @@ from scipy import ndimage
 import malus
 from conftest import (
     PATCH,
+    QUICK,
+    QUICK_WORDS,
     TINY_PATCH,
     TINY_WINDOW,
     WINDOW,
@@ -96,6 +98,9 @@ def require_refined_rim(folder: Path) -> None:
 
 #: What else must hold of the files that a tutorial leaves.
 RESULTS = {"coin": require_refined_rim}
+#: Pages whose stations are refined without the fits that take most of the time. The coin's tutorial runs with the default options.
+QUICK_PAGES = ("first-station", "whole-object")
+QUICK_TABLE = "\n[options.refine]\n" + "".join(f"{name} = false\n" for name in QUICK)
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
@@ -118,11 +123,17 @@ def test_commands_and_programs_of_a_tutorial_run(page: Path, tmp_path: Path, req
             tomllib.loads(block)
             if name := re.match(r"# append: (\S+)\n", block):
                 with (tmp_path / name[1]).open("a", encoding="utf-8") as file:
-                    file.write("\n" + block)
+                    file.write(
+                        "\n"
+                        + block
+                        + (QUICK_TABLE if page.stem in QUICK_PAGES and name[1].endswith("object.toml") else "")
+                    )
         elif language == "console":
             for line in block.splitlines():
                 assert line.startswith("$ malus "), line
-                outcome = malus_here(*shlex.split(line)[2:])
+                words = shlex.split(line)[2:]
+                quick = QUICK_WORDS if page.stem in QUICK_PAGES and words[0] == "run" else ()
+                outcome = malus_here(*words, *quick)
                 assert outcome.code == 0, f"{line}\n{outcome.err}"
         elif language == "python":
             program += block
@@ -259,7 +270,7 @@ def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path, mon
     for line in blocks["console"].splitlines():
         words = shlex.split(line, comments=True)
         assert words[:2] == ["$", ".venv/bin/malus"], line
-        outcome = malus_here(*words[2:])
+        outcome = malus_here(*words[2:], *(QUICK_WORDS if words[2] == "run" else ()))
         assert outcome.code == 0, outcome.err
     given = "import numpy\nimages, angles_rad = [numpy.full((4, 5), 0.5, numpy.float32)] * 3, [0, 1, 2]\n"
     outcome = run_program(sys.executable, "-c", given + blocks["python"], cwd=small)

@@ -124,7 +124,7 @@ def test_check_reports_a_contradicting_profile(with_profile: Path, tmp_path: Pat
 
 def test_a_profile_does_not_overrule_the_response_found_in_the_images(with_profile: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    outcome = malus_here("run", with_profile, "-o", work, "--fusion", "grid")
+    outcome = malus_here("fuse", with_profile, "-o", work, "--fusion", "grid")
     assert outcome.code == 0, outcome.err
     findings = (work / "evidence/findings.json").read_text()
     assert "images are encoded for a display according to their files" in findings

@@ -832,7 +832,7 @@ def test_exports_of_an_earlier_surface_are_reported(
     for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply"), ("glb", named)):
         malus.export(work, name, output)
     (work / "export/contours.svg").unlink()
-    run = ("run", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--quiet")
+    run = ("assess", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--quiet")
     kept = malus_here(*run)
     assert kept.code == 0 and "export" not in kept.err
     changed = malus_here(*run, "--set", "prior.smoothing_px=4")

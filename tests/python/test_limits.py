@@ -435,8 +435,8 @@ def test_cells_of_tables_are_no_formulas() -> None:
     assert [_as_text(text) for text in ("=1+1", "@x", "-2", "a=b", -2.0)] == ["'=1+1", "'@x", "'-2", "a=b", -2.0]
 
 
-def test_a_station_named_like_a_formula_is_text_in_the_table(small_station: Path, tmp_path: Path) -> None:
-    edit(small_station, 'name = "small"', 'name = "=HYPERLINK(1)"')
+def test_a_station_named_like_a_formula_is_text_in_the_table(tiny_station: Path, tmp_path: Path) -> None:
+    edit(tiny_station, 'name = "small"', 'name = "=HYPERLINK(1)"')
     (tmp_path / "campaign.toml").write_text(
         '[campaign]\nstations = ["station/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n'
     )

@@ -14,7 +14,7 @@ from conftest import QUICK, edit
 
 CELL_DEG = (90, 45, 135, 0)
 SIX_DEG = (0, 30, 60, 90, 120, 150)
-OPTIONS = malus.Options(refine=QUICK)
+OPTIONS = malus.Options(refine=QUICK, assess={"polarization_height": False})
 IMAGES = (
     "images = [" + ", ".join(f'"pol/pol_{a:03d}.tif"' for a in SIX_DEG) + "]\nangles_deg = [0, 30, 60, 90, 120, 150]"
 )

@@ -567,9 +567,9 @@ def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: s
 
 
 @pytest.fixture(scope="module")
-def made(small_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, bytes]:
+def made(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, bytes]:
     """A pair, what the command line said as it made the pair's surface in out/, and the mesh that it wrote."""
-    file = write_pair(small_station_source, tmp_path_factory.mktemp("pair"))
+    file = write_pair(tiny_station_source, tmp_path_factory.mktemp("pair"))
     outcome = run_malus("object", file, "-o", file.parent / "out", "--jobs", "2", "--threads", "1")
     assert outcome.code == 0, outcome.err
     return file, outcome, (file.parent / "out/object/mesh.ply").read_bytes()
@@ -584,7 +584,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(
     quality = json.loads((output / "object/quality.json").read_text())
     assert [row["station"] for row in quality["stations"]] == ["o0", "o1"]
     assert quality["agreement"]["rms_ratio"] < 0.05
-    assert quality["mesh"]["triangles"] > 10000 and not quality["mesh"]["closed"]
+    assert quality["mesh"]["triangles"] > 2500 and not quality["mesh"]["closed"]
     require_statements(output)
     assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
     assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
@@ -856,7 +856,7 @@ def photographed(pair: Path, tmp_path: Path) -> Path:
     for k in range(2):
         station = tmp_path / f"o{k}/station.toml"
         edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
-             'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+             'model = "PINHOLE"\nwidth = 100\nheight = 80\nparams = [1937.0, 1937.0, 50.0, 40.0]')  # fmt: skip
         edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
     return pair
 
@@ -872,7 +872,7 @@ def turning(photographed: Path) -> Path:
         station = photographed.parent / f"o{k}/station.toml"
         edit(station, 'folder = "../views"', 'folder = "../views"\nmasks = "../masks"')
         edit(station, "[polarized]\n", '[polarized]\nmask = "mask.png"\n')
-        Image.new("L", (200, 160), 255).save(photographed.parent / f"o{k}/mask.png")
+        Image.new("L", (100, 80), 255).save(photographed.parent / f"o{k}/mask.png")
     return photographed
 
 
@@ -911,7 +911,7 @@ def test_an_error_of_the_search_for_cameras_has_the_warnings_before_it(
         raise DataError("no point is marked in two photos")
 
     monkeypatch.setattr(object_run, "find_object_cameras", find)
-    monkeypatch.setattr(object_run, "unpolarized_scene", lambda *_: (np.ones((160, 200), np.float32), None))
+    monkeypatch.setattr(object_run, "unpolarized_scene", lambda *_: (np.ones((80, 100), np.float32), None))
     monkeypatch.setattr(object_run, "_begin", lambda *_: None)
     outcome = malus_here("object", turning, "-o", turning.parent / "out", "--threads", "1", "--quiet")
     assert outcome.code == 3 and "malus: no point is marked" in outcome.err
@@ -942,7 +942,7 @@ def test_masks_of_stations_on_a_turntable_reach_the_search_for_cameras(
         return {}
 
     def scene(*_: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        return np.ones((160, 200), np.float32), np.full((160, 200), 255, np.uint8)
+        return np.ones((80, 100), np.float32), np.full((80, 100), 255, np.uint8)
 
     monkeypatch.setattr(object_run, "find_object_cameras", find)
     monkeypatch.setattr(object_run, "unpolarized_scene", scene)
@@ -953,7 +953,7 @@ def test_masks_of_stations_on_a_turntable_reach_the_search_for_cameras(
     frame = find_frame(Object.load(turning), turning.parent / "out", 1, lambda *_: None)
     if turntable:
         assert list(given[0]) == ["o0"] and given[0]["o0"].file == turning.parent / "o0/mask.png"
-        assert given[0]["o0"].mask.shape == (160, 200)
+        assert given[0]["o0"].mask.shape == (80, 100)
     else:
         assert given == [None]
     assert len(frame.warnings) == turntable
@@ -1057,7 +1057,7 @@ def test_stations_may_leave_out_the_photos_of_their_object(photographed: Path) -
     # A process that runs a station reads it again.
     again = pickle.loads(pickle.dumps(thing.campaign.station(task.station)))
     assert again.describe() == task.load().describe()
-    edit(photographed.parent / "o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
+    edit(photographed.parent / "o1/station.toml", "40.0]", "40.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
     with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has a pose"):
         Object.load(photographed)
 
@@ -1268,7 +1268,7 @@ def test_the_page_says_how_photos_distances_and_points_fit() -> None:
             "o0/station.toml: [photos] are not those of",
         ),
         ("o1/station.toml", 'folder = "../views"', 'folder = "../views"\nexclude = ["0.png"]', "are not those of"),
-        ("o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]", "has a pose"),
+        ("o1/station.toml", "40.0]", "40.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]", "has a pose"),
     ],
 )
 def test_shared_photos_that_are_wrong(photographed: Path, file: str, old: str, new: str, expected: str) -> None:
@@ -1285,7 +1285,7 @@ def test_a_station_with_photos_of_its_own_does_not_stand_in_the_frame_of_the_oth
     (pair.parent / "views/0.png").write_bytes(b"photo")
     station = pair.parent / f"o{number}/station.toml"
     edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
-         'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+         'model = "PINHOLE"\nwidth = 100\nheight = 80\nparams = [1937.0, 1937.0, 50.0, 40.0]')  # fmt: skip
     edit(station, '[prior]\ncloud = "dense/cloud.ply"', '[photos]\nfolder = "../views"')
     with pytest.raises(
         InputError, match=rf"o{number}/station.toml: has no \[prior\], so that its frame is that of its own photos"
@@ -1307,11 +1307,11 @@ def test_only_one_station_may_stand_in_its_cameras_frame(pair: Path) -> None:
         station = pair.parent / f"o{k}/station.toml"
         (pair.parent / f"o{k}/depth.tif").write_bytes(b"depth")
         edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',
-             'model = "PINHOLE"\nwidth = 200\nheight = 160\nparams = [1937.0, 1937.0, 100.0, 80.0]')  # fmt: skip
+             'model = "PINHOLE"\nwidth = 100\nheight = 80\nparams = [1937.0, 1937.0, 50.0, 40.0]')  # fmt: skip
         edit(station, 'cloud = "dense/cloud.ply"', 'depth = "depth.tif"')
     with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has no pose, like that of .*o0/station.toml"):
         Object.load(pair)
-    edit(pair.parent / "o1/station.toml", "80.0]", "80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
+    edit(pair.parent / "o1/station.toml", "40.0]", "40.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
     assert Object.load(pair).shared is None
 
 

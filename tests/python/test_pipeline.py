@@ -117,7 +117,7 @@ def assert_last_event_is_what_quality_says(events: list[dict[str, Any]], work: P
 
 def test_second_run_repeats_nothing(finished: Path, small_station_source: Path) -> None:
     before = {name: (finished / name).stat().st_mtime_ns for name in RASTERS + OTHERS[1:]}
-    outcome = malus_here("run", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
+    outcome = malus_here("assess", small_station_source / "station.toml", "-o", finished, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
@@ -130,7 +130,7 @@ def test_changed_option_repeats_only_what_depends_on_it(
     finished: Path, small_station_source: Path, tmp_path: Path
 ) -> None:
     work, station = shutil.copytree(finished, tmp_path / "work"), small_station_source / "station.toml"
-    outcome = malus_here("run", station, "-o", work, "--fusion", "grid", "--json", "--set", "grid.grid_px=8")
+    outcome = malus_here("assess", station, "-o", work, "--fusion", "grid", "--json", "--set", "grid.grid_px=8")
     assert outcome.code == 0, outcome.err
     events = [json.loads(line) for line in outcome.out.splitlines()]
     kept = {event["step"] for event in events if event.get("message") == "kept from an earlier run"}
@@ -352,15 +352,15 @@ def test_folders_with_other_files_are_no_workspace(small_station: Path) -> None:
     assert not (small_station.parent / "manifest.json").exists()
 
 
-def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tmp_path: Path) -> None:
+def test_every_warning_is_in_the_figures_and_on_the_page(tiny_station: Path, tmp_path: Path) -> None:
     """In a quiet run, a step's warning is in its record, in quality.json and in the report; it is repeated when the step is kept."""
-    for k, path in enumerate(sorted((small_station.parent / "pol").glob("*.tif"))):
+    for k, path in enumerate(sorted((tiny_station.parent / "pol").glob("*.tif"))):
         pixels = tifffile.imread(path)
         if k == 2:  # a window of one image changes: many pixels do not follow the sinusoid
-            pixels[20:140, 20:100] //= 2
+            pixels[10:70, 10:50] //= 2
         tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
-    command = ("run", small_station, "-o", work, "--fusion", "grid", "--threads", "2")
+    command = ("run", tiny_station, "-o", work, "--fusion", "grid", "--threads", "2")
     quiet = malus_here(*command, "--quiet")
     assert quiet.code == 0
     quality = json.loads((work / "quality.json").read_text())
@@ -385,19 +385,19 @@ def test_every_warning_is_in_the_figures_and_on_the_page(small_station: Path, tm
     assert all(f"warning: {warning}" in outcome.out for warning in quality["warnings"])
 
 
-def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_station: Path, tmp_path: Path) -> None:
+def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(tiny_station: Path, tmp_path: Path) -> None:
     """In both programs, with and without --quiet; findings about the inputs count already."""
-    path = small_station.parent / "pol/pol_060.tif"
+    path = tiny_station.parent / "pol/pol_060.tif"
     pixels = tifffile.imread(path)
-    pixels[20:140, 20:100] //= 2
+    pixels[10:70, 10:50] //= 2
     tifffile.imwrite(path, pixels)
     work = tmp_path / "work"
     misfits = "object's pixels do not follow the polarizer's sinusoid"
     for command, word in (
-        (lambda *words: malus_here("fuse", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
-        (lambda *words: malus_here("mesh", small_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (lambda *words: malus_here("fuse", tiny_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
+        (lambda *words: malus_here("mesh", tiny_station, "-o", work, "--fusion", "grid", *words), "confidence: "),
         (
-            lambda *words: malus_station(small_station, "-o", work, "--fusion", "grid", "--until", "fuse", *words),
+            lambda *words: malus_station(tiny_station, "-o", work, "--fusion", "grid", "--until", "fuse", *words),
             "confidence    ",
         ),
     ):
@@ -407,7 +407,7 @@ def test_runs_that_end_before_the_assessment_say_confidence_and_warnings(small_s
             assert f"{word}partial, not assessed yet" in said
             assert said.index(misfits) < said.index(word), "the warning at once, the verdict at the end"
             assert said.rindex(misfits) > said.index(word), "which names it among its reasons"
-    quiet = malus_here("decompose", small_station, "-o", tmp_path / "maps", "--quiet")
+    quiet = malus_here("decompose", tiny_station, "-o", tmp_path / "maps", "--quiet")
     assert misfits in quiet.err and "confidence" not in quiet.err, "nothing is fused"
 
 
@@ -421,7 +421,7 @@ def test_provenance_names_everything_that_was_read(tiny_station: Path, tmp_path:
     shutil.copy(folder / "dense/cloud.ply", folder / "scan.ply")
     work = tmp_path / "work"
     outcome = malus_here(
-        "run", tiny_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
+        "assess", tiny_station, "-o", work, "--fusion", "grid", "--reference", folder / "scan.ply", "--quiet"
     )
     assert outcome.code == 0, outcome.err
     manifest = malus.Workspace(work).manifest
@@ -538,7 +538,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
         sys.executable,
         "-m",
         "malus.cli",
-        "run",
+        "assess",
         str(small_station),
         "-o",
         str(work),
@@ -564,7 +564,7 @@ def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station
     manifest = json.loads((work / "manifest.json").read_text())
     assert set(manifest["steps"]) == {"polarization", "prior", "polarizer", "evidence", "zenith"}
     assert not half_written(work)
-    outcome = malus_here("run", small_station, "-o", work, "--fusion", "grid", "--json")
+    outcome = malus_here("assess", small_station, "-o", work, "--fusion", "grid", "--json")
     assert outcome.code == 0, outcome.err
     kept = {
         e["step"] for e in map(json.loads, outcome.out.splitlines()) if e.get("message") == "kept from an earlier run"

@@ -73,7 +73,8 @@ def test_another_object_is_refused() -> None:
         place_reference(relief(1), CAMERA, relief(3, 150))
 
 
-def test_a_rotationally_symmetric_shape_is_refused() -> None:
+def test_a_rotationally_symmetric_shape_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registration, "_DIRECTIONS", 12)
     x, y = np.meshgrid(np.linspace(-1, 1, 120), np.linspace(-1, 1, 120))
     cap = np.stack([x, y, np.sqrt(4 - x**2 - y**2)], -1).reshape(-1, 3)[(x**2 + y**2 < 1).ravel()]
     with pytest.raises(malus.DataError, match="looks alike in several directions"):

@@ -108,7 +108,7 @@ TemplatePixels template_pixels(const Mask& pixels) {
 struct AlignmentCue::Samples {
   std::vector<Value> image;
   std::vector<float> weights;
-  Value turn;  ///< factor of the template's values
+  Value turn;
 };
 
 /// Weighted sums over the template's pixels, of values minus their means.
@@ -132,73 +132,99 @@ bool AlignmentCue::has_template() const {
   return std::ranges::any_of(values_, [this](const Value& value) { return std::abs(value - values_.front()) > 1e-6F; });
 }
 
-AlignmentCue::Samples AlignmentCue::sample(const TemplatePixels& pixels, const Similarity& moved) const {
-  Samples samples{std::vector<Value>(pixels.count()), std::vector<float>(pixels.count()),
-                  std::polar(1.0F, static_cast<float>(-turns_ * moved.turn_rad))};
+AlignmentCue::Value AlignmentCue::turn_of(const Similarity& moved) const {
+  return std::polar(1.0F, static_cast<float>(-turns_ * moved.turn_rad));
+}
+
+template <bool real, class Take>
+void AlignmentCue::for_each_sample(const TemplatePixels& pixels, const Similarity& moved, Take&& take) const {
   const double scale = std::exp(moved.log_scale);
   const auto cosine = static_cast<float>(scale * std::cos(moved.turn_rad)),
              sine = static_cast<float>(scale * std::sin(moved.turn_rad));
   const auto center_u = static_cast<float>(pixels.center_u), center_v = static_cast<float>(pixels.center_v);
   const float to_u = center_u + static_cast<float>(moved.du), to_v = center_v + static_cast<float>(moved.dv);
-  const int width = image_.width(), height = image_.height();
+  const auto last_u = static_cast<float>(image_.width() - 1), last_v = static_cast<float>(image_.height() - 1);
   for (std::size_t i = 0; i < pixels.count(); ++i) {
     const float x = pixels.u[i] - center_u, y = pixels.v[i] - center_v;
     const float u = cosine * x - sine * y + to_u, v = sine * x + cosine * y + to_v;
-    if (!(u >= 0 && v >= 0 && u < static_cast<float>(width - 1) && v < static_cast<float>(height - 1))) continue;
+    if (!(u >= 0 && v >= 0 && u < last_u && v < last_v)) continue;
     const int u0 = static_cast<int>(u), v0 = static_cast<int>(v);
     const float fu = u - static_cast<float>(u0), fv = v - static_cast<float>(v0);
     const float* const above = image_.row(v0) + 3 * u0;
     const float* const below = image_.row(v0 + 1) + 3 * u0;
-    std::array<float, 3> value;
-    for (std::size_t c = 0; c < 3; ++c) {
-      value[c] = (1 - fv) * ((1 - fu) * above[c] + fu * above[c + 3]) + fv * ((1 - fu) * below[c] + fu * below[c + 3]);
-    }
-    if (!(value[2] > 1e-4F)) continue;
-    samples.image[i] = Value(value[0], value[1]) / value[2];
-    samples.weights[i] = weights_[i] * value[2];
+    const auto value = [&](int c) {
+      return (1 - fv) * ((1 - fu) * above[c] + fu * above[c + 3]) + fv * ((1 - fu) * below[c] + fu * below[c + 3]);
+    };
+    const float weight = value(2);
+    if (!(weight > 1e-4F)) continue;
+    take(i, value(0) / weight, real ? 0.0F : value(1) / weight, weights_[i] * weight);
   }
+}
+
+AlignmentCue::Samples AlignmentCue::sample(const TemplatePixels& pixels, const Similarity& moved) const {
+  Samples samples{std::vector<Value>(pixels.count()), std::vector<float>(pixels.count()), turn_of(moved)};
+  for_each_sample<false>(pixels, moved, [&](std::size_t i, float f_real, float f_imaginary, float w) {
+    samples.image[i] = {f_real, f_imaginary};
+    samples.weights[i] = w;
+  });
   return samples;
 }
 
-AlignmentCue::Moments AlignmentCue::moments(const Samples& samples) const {
+/// The search calls this for thousands of places. It is therefore written without complex products, which check for
+/// NaN, and real values (`real`) are summed without their imaginary parts, which are zero.
+template <bool real>
+AlignmentCue::Moments AlignmentCue::summed(const TemplatePixels& pixels, const Similarity& moved) const {
+  const Value turn = turn_of(moved);
   double weight = 0, squares_template = 0, squares_image = 0;
-  std::complex<double> sum_template, sum_image, product;
-  for (std::size_t i = 0; i < values_.size(); ++i) {
-    const double w = samples.weights[i];
-    if (w == 0) continue;
-    const std::complex<double> t(values_[i] * samples.turn), f(samples.image[i]);
-    weight += w;
-    sum_template += w * t;
-    sum_image += w * f;
-    squares_template += w * std::norm(t);
-    squares_image += w * std::norm(f);
-    product += w * f * std::conj(t);
-  }
+  double t_real = 0, t_imaginary = 0, f_real = 0, f_imaginary = 0, product_real = 0, product_imaginary = 0;
+  for_each_sample<real>(
+      pixels, moved, [&](std::size_t i, float image_real, float image_imaginary, float sample_weight) {
+        const double w = sample_weight, fr = image_real, fi = image_imaginary;
+        const Value& value = values_[i];
+        const double tr = real ? value.real() : value.real() * turn.real() - value.imag() * turn.imag();
+        const double ti = real ? 0 : value.real() * turn.imag() + value.imag() * turn.real();
+        weight += w;
+        t_real += w * tr;
+        f_real += w * fr;
+        squares_template += w * (tr * tr + ti * ti);
+        squares_image += w * (fr * fr + fi * fi);
+        product_real += w * fr * tr + w * fi * ti;
+        if (real) return;
+        t_imaginary += w * ti;
+        f_imaginary += w * fi;
+        product_imaginary += w * fi * tr - w * fr * ti;
+      });
   if (!(weight > 0)) return {};
-  const std::complex<double> mean_template = sum_template / weight, mean_image = sum_image / weight;
-  Moments moments{Value(mean_template), Value(mean_image), squares_template - weight * std::norm(mean_template),
-                  squares_image - weight * std::norm(mean_image),
-                  product - weight * mean_image * std::conj(mean_template)};
+  const std::complex<double> mean_template(t_real / weight, t_imaginary / weight);
+  const std::complex<double> mean_image(f_real / weight, f_imaginary / weight);
+  const std::complex<double> product(product_real, product_imaginary);
+  return {Value(mean_template), Value(mean_image), squares_template - weight * std::norm(mean_template),
+          squares_image - weight * std::norm(mean_image), product - weight * mean_image * std::conj(mean_template)};
+}
+
+AlignmentCue::Moments AlignmentCue::moments(const TemplatePixels& pixels, const Similarity& moved) const {
+  if (turns_ != 0) return summed<false>(pixels, moved);
+  Moments moments = summed<true>(pixels, moved);
   // Real values that correlate with the wrong sign count as uncorrelated.
-  if (turns_ == 0 && moments.covariance.real() < 0) moments.covariance = 0;
+  if (moments.covariance.real() < 0) moments.covariance = 0;
   return moments;
 }
 
 double AlignmentCue::correlation2(const TemplatePixels& pixels, const Similarity& moved) const {
-  const Moments m = moments(sample(pixels, moved));
+  const Moments m = moments(pixels, moved);
   const double product = m.var_template * m.var_image;
   return product > 0 ? std::norm(m.covariance) / product : 0;
 }
 
 double AlignmentCue::contrast(const TemplatePixels& pixels, const Similarity& moved) const {
-  const Moments m = moments(sample(pixels, moved));
+  const Moments m = moments(pixels, moved);
   return m.var_template > 0 ? std::sqrt(m.var_image / m.var_template) : 0;
 }
 
 /// Σ w (|f|² − |f − a t|²) of each block over Σ w |f|² of all; the sum over the blocks is the squared correlation.
 std::vector<double> AlignmentCue::explained_by_block(const TemplatePixels& pixels, const Similarity& at) const {
   const Samples samples = sample(pixels, at);
-  const Moments m = moments(samples);
+  const Moments m = moments(pixels, at);
   std::vector<double> blocks(TemplatePixels::blocks, 0.0);
   if (!(m.var_template > 0 && m.var_image > 0)) return blocks;
   const Value amplitude(m.covariance / m.var_template);
@@ -232,7 +258,7 @@ double AlignmentCue::signal_sigmas(const TemplatePixels& pixels, const Similarit
 
 double AlignmentCue::independent_pixels(const TemplatePixels& pixels, const Similarity& at) const {
   const Samples samples = sample(pixels, at);
-  const Moments m = moments(samples);
+  const Moments m = moments(pixels, at);
   if (!(m.var_template > 0)) return 1;
   const Value amplitude(m.covariance / m.var_template);
   std::array<std::complex<double>, TemplatePixels::blocks> products{};

@@ -64,8 +64,16 @@ class AlignmentCue {
  private:
   struct Samples;
   struct Moments;
+  /// Factor of the template's values when the prior is moved.
+  Value turn_of(const Similarity& moved) const;
+  /// Calls take(i, real part, imaginary part, weight) for every pixel of the template that lies in the image; `real`:
+  /// without imaginary parts.
+  template <bool real, class Take>
+  void for_each_sample(const TemplatePixels& pixels, const Similarity& moved, Take&& take) const;
   Samples sample(const TemplatePixels& pixels, const Similarity& moved) const;
-  Moments moments(const Samples& samples) const;
+  template <bool real>
+  Moments summed(const TemplatePixels& pixels, const Similarity& moved) const;
+  Moments moments(const TemplatePixels& pixels, const Similarity& moved) const;
   std::vector<double> explained_by_block(const TemplatePixels& pixels, const Similarity& at) const;
 
   std::vector<Value> values_;

@@ -41,6 +41,7 @@ struct AlignmentPlace {
   bool is_offset(double object_covered) const;
   /// Sum of the squared correlations of color and phase at the best place.
   double explained() const;
+  static constexpr double most_explained = 2;
 };
 
 /// Makes the problem at a reduced size; `factor` is the side of its pixels, in pixels of the image.

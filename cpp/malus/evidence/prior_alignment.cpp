@@ -194,6 +194,7 @@ template <class Idea, class PlaceOf>
 const Idea* best_idea(const std::vector<Idea>& ideas, const AlignmentPlace& given, const PlaceOf& place_of) {
   const Idea* best = nullptr;
   double most = std::max(least_explained, explains_times * given.explained());
+  if (most >= AlignmentPlace::most_explained) return nullptr;
   for (const Idea& idea : ideas) {
     const AlignmentPlace place = place_of(idea);
     if (!place.is_informative() || !(place.explained() > most)) continue;

@@ -192,7 +192,7 @@ TEST(Comparison, FarPixelsAreLeftOutAndReported) {
   std::string said;
   Context context;
   context.on_log = [&](LogLevel, const std::string& message) { said += message; };
-  const ReferenceComparison nothing = compare_with_reference(wavy(50), mesh_of(reference_view), gsd, options, context);
+  const ReferenceComparison nothing = compare_with_reference(wavy(5), mesh_of(reference_view), gsd, options, context);
   EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
   EXPECT_NE(said.find("no pixel is near the reference"), std::string::npos) << said;
   EXPECT_NE(said.find("--register"), std::string::npos) << said;

@@ -27,6 +27,7 @@ struct SyntheticOptions {
   ReflectionModel model;
   double noise = 2e-5;        ///< standard deviation of s1 and s2
   double bump_gsd = 1.5;      ///< height of the bumps that the prior does not have
+  double curvature = 0.004;   ///< depth of the bowl, in GSD per px²
   bool flat = false;          ///< a tilted plane with the bumps only
   bool two_finishes = false;  ///< the right third has the model's other finish
 };
@@ -45,7 +46,8 @@ inline SyntheticStation make_station(const SyntheticOptions& options) {
     for (int u = 0; u < size.width; ++u) {
       const double x = u - 0.5 * size.width, y = v - 0.5 * size.height;
       const double tilt = 0.45 * x + 0.3 * y;
-      const double smooth = options.flat ? tilt / (1 - gsd / distance * tilt) : tilt + 0.004 * (x * x + y * y);
+      const double smooth =
+          options.flat ? tilt / (1 - gsd / distance * tilt) : tilt + options.curvature * (x * x + y * y);
       const double bumps = options.bump_gsd * std::sin(0.35 * u) * std::cos(0.3 * v);
       station.truth(u, v) = static_cast<float>(distance + gsd * (smooth + bumps));
       station.prior.depth(u, v) = static_cast<float>(distance + gsd * smooth);

@@ -13,8 +13,8 @@
 namespace malus {
 namespace {
 
-constexpr double radius = 10, distance = 100, focal = 1500;
-constexpr Size size{400, 360};
+constexpr double radius = 10, distance = 100, focal = 1000;
+constexpr Size size{268, 240};
 
 /// A camera that looks at the origin from this direction.
 Pose looking_at_origin(const Eigen::Vector3d& direction) {
