@@ -4,7 +4,7 @@ Metashape, object files, and what Studio's page sends.
     parsers.py TARGET[,TARGET…] [CORPUS] [libFuzzer's options]
 
 For any bytes, a reader must return or raise MalusError. In CORPUS and options, {} stands for the target. Several targets are fuzzed one
-after the other, each in a process forked from this one: to import and instrument everything takes longer than a short attack.
+after the other, each in a process forked from this one: to import and instrument everything takes as long as a short attack.
 """
 
 from __future__ import annotations

@@ -273,7 +273,11 @@ def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path, mon
         outcome = malus_here(*words[2:], *(QUICK_WORDS if words[2] == "run" else ()))
         assert outcome.code == 0, outcome.err
     given = "import numpy\nimages, angles_rad = [numpy.full((4, 5), 0.5, numpy.float32)] * 3, [0, 1, 2]\n"
-    outcome = run_program(sys.executable, "-c", given + blocks["python"], cwd=small)
+    # With the options of the commands, the program keeps their steps.
+    refined = 'fusion="refined"'
+    assert refined in blocks["python"]
+    program = given + blocks["python"].replace(refined, f"{refined}, refine={QUICK}")
+    outcome = run_program(sys.executable, "-c", program, cwd=small)
     assert outcome.code == 0, outcome.err
     assert (small / "relief.glb").stat().st_size > 1000
 

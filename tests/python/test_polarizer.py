@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 import malus
 from conftest import EXAMPLE, edit, malus_station
@@ -19,16 +20,35 @@ from malus.synthetic import write_station
 ANGLES = "angles_deg = [0, 30, 60, 90, 120, 150]"
 
 
-@pytest.fixture
-def relief(tmp_path: Path) -> Path:
-    """A copy of the demo station's file beside its data."""
-    folder = tmp_path / "relief"
-    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("views"))
+#: The part of the demo's images that is used, with the flat label and the carving around it.
+LEFT, TOP, RIGHT, BOTTOM = 220, 140, 620, 420
+
+
+def write_part(folder: Path) -> Path:
+    """A part of the demo station as a station of its own (principal point moved along), without patches and profiles."""
+    (folder / "pol").mkdir(parents=True)
+    for path in (EXAMPLE / "pol").glob("*.png"):
+        with Image.open(path) as image:
+            image.crop((LEFT, TOP, RIGHT, BOTTOM)).save(folder / "pol" / path.name)
+    for name in ("dense", "sparse"):
+        shutil.copytree(EXAMPLE / name, folder / name)
+    cameras = (folder / "sparse/cameras.txt").read_text()
+    lens = next(line for line in cameras.splitlines() if line.startswith("2 "))
+    fx, fy, cx, cy = (float(word) for word in lens.split()[4:8])
+    part = f"2 PINHOLE {RIGHT - LEFT} {BOTTOM - TOP} {fx} {fy} {cx - LEFT} {cy - TOP}"
+    edit(folder / "sparse/cameras.txt", lens, part)
+    (folder / "station.toml").write_text((EXAMPLE / "station.toml").read_text().split("[[")[0])
     return folder / "station.toml"
 
 
-def calibration(station: Path, *options: str, work: Path | None = None) -> tuple[dict[str, Any], Path]:
-    work = work or station.parent / "work"
+@pytest.fixture
+def relief(tmp_path: Path) -> Path:
+    """The part of the demo station, to be changed."""
+    return write_part(tmp_path / "relief")
+
+
+def calibration(station: Path, *options: str) -> tuple[dict[str, Any], Path]:
+    work = station.parent / "work"
     outcome = malus_station(station, "-o", work, "--until", "polarizer", "--threads", "2", *options)
     assert outcome.code == 0, outcome.err
     manifest = json.loads((work / "manifest.json").read_text())
@@ -37,8 +57,8 @@ def calibration(station: Path, *options: str, work: Path | None = None) -> tuple
 
 @pytest.fixture(scope="module")
 def correct(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
-    """What is found for the demo station as it is; read its workspace, do not change it."""
-    return calibration(EXAMPLE / "station.toml", work=tmp_path_factory.mktemp("correct") / "work")
+    """What is found for the part as it is; read its workspace, do not change it."""
+    return calibration(write_part(tmp_path_factory.mktemp("correct") / "relief"))
 
 
 def phase_difference_deg(work: Path, other: Path, least_degree: float = 0.02) -> float:
@@ -50,7 +70,6 @@ def phase_difference_deg(work: Path, other: Path, least_degree: float = 0.02) ->
 
 def brighten(path: Path, factor: float) -> None:
     import matplotlib.image
-    from PIL import Image
 
     pixels = np.rint(matplotlib.image.imread(path) * 65535 * factor).astype(np.uint16)
     Image.fromarray(pixels).save(path)
