@@ -175,8 +175,7 @@ def registration(kind: str, path: str, threads: int) -> Row:
         if kind.startswith("ecc"):
             found[:] = ecc_maps(images, *((50, 1e-3) if kind == "ecc" else (200, 1e-7)))
         else:
-            options = malus.Options(capture={"interpolation": kind})
-            found[:] = [r.image_from_base for r in malus.capture.register(images, options=options, threads=threads)]
+            found[:] = [r.image_from_base for r in malus.capture.register(images, threads=threads)]
 
     # The first call warms up: fresh memory can take as long as the work, and differs from run to run.
     if kind != "ecc, converged":

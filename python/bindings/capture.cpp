@@ -39,12 +39,10 @@ void bind_capture(py::module_& module) {
                  : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", context).intensity;
     });
   });
-  module.def("undistort", [](const Image<float>& image, const CameraValues& values, int threads) {
+  module.def("undistort", [](Image<float>& image, const CameraValues& values, int threads) {
     const LensCamera lens = to_camera(values, "camera").first;
     require_size(image, lens.size, "image");
-    return computed(threads, [&](const Context& context) {
-      return resample(image, lens.size, ResamplingMap(lens, identity_affine()), Interpolation::bicubic, context).image;
-    });
+    return computed(threads, [&](const Context& context) { return undistorted(std::move(image), lens, context); });
   });
 
   module.def("demosaic", [](const Image<float>& mosaic, int threads) {

@@ -16,8 +16,6 @@ class CaptureSection(Section):
     """registration = auto: images displaced by less than this, or than three times the displacement's own error, stay unchanged, in px"""
     saturation: float
     """fraction of the white level from which a pixel is saturated"""
-    interpolation: Literal["bicubic", "keys"]
-    """interpolation of the images when they are registered and resampled: bicubic as OpenCV's (a = -0.75) or keys (a = -0.5)"""
     fine_sigma_px: float
     """registration compares images after a band-pass filter: standard deviation of its finer Gaussian, in px"""
     coarse_sigma_px: float
@@ -38,7 +36,6 @@ class CaptureValues(TypedDict, total=False):
     registration: Literal["auto", "on", "off"]
     keep_below_px: float
     saturation: float
-    interpolation: Literal["bicubic", "keys"]
     fine_sigma_px: float
     coarse_sigma_px: float
     cauchy_scale: float

@@ -272,17 +272,17 @@ void add_flags(Mask& flags, Mask more, const Context& context) {
   });
 }
 
-/// One image after resampling; valid on the object, where all 4 × 4 samples lie in the source.
+/// One image after resampling; valid on the object, where the support of all its pixels lies in the source.
 struct Layer {
   Image<float> intensity;
   Mask saturated;
 };
 
-Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& map, Interpolation interpolation,
-                     Mask& object, const Context& context) {
+Layer resample_layer(Exposures& exposures, std::size_t k, const ResamplingMap& map, Mask& object,
+                     const Context& context) {
   Image<float> source = std::move(exposures.images[k]);
   if (map.is_identity()) return {std::move(source), std::move(exposures.saturated[k])};
-  Resampled resampled = resample(source, object.size(), map, interpolation, context);
+  Resampled resampled = resample(std::move(source), object.size(), map, context);
   clear_outside(object, resampled.valid, context);
   return {std::move(resampled.image), resample_flags(exposures.saturated[k], object.size(), map, context)};
 }
@@ -311,15 +311,14 @@ Layer merge(std::vector<Layer> layers, const std::vector<double>& ratios, const 
 
 /// Resamples the images into the stack, one per polarizer position.
 void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vector<Affine>& maps,
-                const std::vector<Group>& groups, Interpolation interpolation, PolarizedStack& stack,
-                const Context& context) {
+                const std::vector<Group>& groups, PolarizedStack& stack, const Context& context) {
   for (std::size_t g = 0; g < groups.size(); ++g) {
     context.progress("capture", static_cast<double>(g) / static_cast<double>(groups.size()), "resampling");
     std::vector<Layer> layers;
     std::vector<double> ratios, unsaturated;
     for (const std::size_t k : groups[g]) {
       const ResamplingMap map(input.lens, maps[k]);
-      layers.push_back(resample_layer(exposures, k, map, interpolation, stack.mask, context));
+      layers.push_back(resample_layer(exposures, k, map, stack.mask, context));
       ratios.push_back(exposure_ratio(input.polarized, k));
       if (groups[g].size() > 1) unsaturated.push_back(1 - share_within(layers.back().saturated, stack.mask));
     }
@@ -345,9 +344,7 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
     require_size(raw.pixels, mean.size(), input.names[k]);
     const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
     const ResamplingMap map(input.lens, maps[k]);
-    const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map,
-                                        options.registration.interpolation, context)
-                                   .image;
+    const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map, context).image;
     for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += color[i];
     count += 1;
   }
@@ -419,7 +416,7 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   const ResamplingMap base_map(input.lens, identity_affine());
   stack.mask = input.mask ? undistorted_mask(*input.mask, input.lens, context) : Mask(size, 1, 255);
   const std::vector<Group> groups = exposure_groups(input.polarized, exposures.images.size());
-  fill_stack(exposures, input, maps, groups, options.registration.interpolation, stack, context);
+  fill_stack(exposures, input, maps, groups, stack, context);
   const std::vector<double> readings = std::move(stack.angles_rad);
   stack.angles_rad.clear();
   for (const Group& group : groups) {
@@ -431,12 +428,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   }
   check_usable(stack, context);
   if (exposures.color) stack.color = mean_color(input, curve, options, size, maps, context);
-  if (!shared.empty()) {
-    stack.shared = resample(shared, size, base_map, options.registration.interpolation, context).image;
-  }
-  if (!mosaic_color.empty()) {
-    stack.color = resample(mosaic_color, size, base_map, options.registration.interpolation, context).image;
-  }
+  if (!shared.empty()) stack.shared = resample(std::move(shared), size, base_map, context).image;
+  if (!mosaic_color.empty()) stack.color = resample(std::move(mosaic_color), size, base_map, context).image;
   context.progress("capture", 1, "done");
   return stack;
 }

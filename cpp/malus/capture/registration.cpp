@@ -246,8 +246,7 @@ class Level {
     const auto count = static_cast<std::size_t>(region.u1 - region.u0 + 2);
     std::copy_n(contrast_.bands[0].row(v) + region.u0 - 1, count, rows.band(0, row).data());
     for (std::size_t k = 1; k < maps.size(); ++k) {
-      resample_row(contrast_.bands[k], maps[k], options_.interpolation, region.u0 - 1, v,
-                   rows.band(k, row).first(count));
+      resample_row(contrast_.bands[k], maps[k], region.u0 - 1, v, rows.band(k, row).first(count));
     }
     mean_row(rows.bands(row), rows.mean(row));
   }
@@ -268,7 +267,7 @@ class Level {
     double ab = 0, bb = 0;
     std::vector<float> moved(static_cast<std::size_t>(region.u1 - region.u0));
     for (int v = region.v0; v < region.v1; ++v) {
-      resample_row(image, map, options_.interpolation, region.u0, v, moved);
+      resample_row(image, map, region.u0, v, moved);
       for (int u = region.u0; u < region.u1; ++u) {
         const double n2 = contrast_.information(u, v), b = moved[static_cast<std::size_t>(u - region.u0)];
         ab += n2 * contrast_.bands[0](u, v) * b;

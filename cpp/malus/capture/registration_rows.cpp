@@ -9,13 +9,13 @@ namespace {
 
 constexpr int length = BlockRow::length;
 
-/// The samples' weights for a fraction (Keys 1981); bicubic_weights in single precision.
-[[gnu::always_inline]] inline void cubic_weights(float f, float a, float (&weights)[4]) {
+/// The weights of the samples at floor(x) − 1 … floor(x) + 2 for the fraction f = x − floor(x).
+[[gnu::always_inline]] inline void cubic_weights(float f, float (&weights)[4]) {
   const float f2 = f * f, f3 = f2 * f;
-  weights[0] = a * (f3 - 2 * f2 + f);
-  weights[1] = (a + 2) * f3 - (a + 3) * f2 + 1;
-  weights[2] = (2 * a + 3) * f2 - (a + 2) * f3 - a * f;
-  weights[3] = a * (f2 - f3);
+  weights[0] = f2 - 0.5F * (f3 + f);
+  weights[1] = 1.5F * f3 - 2.5F * f2 + 1;
+  weights[2] = 2 * f2 - 1.5F * f3 + 0.5F * f;
+  weights[3] = 0.5F * (f3 - f2);
 }
 
 /// Positions within their samples along a run of pixels; they change linearly, and the samples are neighbors.
@@ -23,13 +23,13 @@ struct Run {
   float fu, fu_step, fv, fv_step;
 };
 
-MALUS_SIMD_CLONES void resample_run(const float* corner, std::size_t stride, const Run& run, float a, int count,
+MALUS_SIMD_CLONES void resample_run(const float* corner, std::size_t stride, const Run& run, int count,
                                     float* __restrict values) {
   const float *r0 = corner, *r1 = r0 + stride, *r2 = r1 + stride, *r3 = r2 + stride;
   for (int i = 0; i < count; ++i) {
     float wu[4], wv[4];
-    cubic_weights(run.fu + static_cast<float>(i) * run.fu_step, a, wu);
-    cubic_weights(run.fv + static_cast<float>(i) * run.fv_step, a, wv);
+    cubic_weights(run.fu + static_cast<float>(i) * run.fu_step, wu);
+    cubic_weights(run.fv + static_cast<float>(i) * run.fv_step, wv);
     values[i] = wv[0] * (wu[0] * r0[i] + wu[1] * r0[i + 1] + wu[2] * r0[i + 2] + wu[3] * r0[i + 3]) +
                 wv[1] * (wu[0] * r1[i] + wu[1] * r1[i + 1] + wu[2] * r1[i + 2] + wu[3] * r1[i + 3]) +
                 wv[2] * (wu[0] * r2[i] + wu[1] * r2[i + 1] + wu[2] * r2[i + 2] + wu[3] * r2[i + 3]) +
@@ -47,9 +47,7 @@ int pixels_within(double fraction, double step, int most) {
 
 }  // namespace
 
-void resample_row(const Image<float>& band, const Affine& map, Interpolation interpolation, int u, int v,
-                  std::span<float> values) {
-  const float a = interpolation == Interpolation::bicubic ? -0.75F : -0.5F;
+void resample_row(const Image<float>& band, const Affine& map, int u, int v, std::span<float> values) {
   const int count = static_cast<int>(values.size());
   for (int begin = 0; begin < count;) {
     const Eigen::Vector2d position = map.leftCols<2>() * Eigen::Vector2d(u + begin, v) + map.col(2);
@@ -59,8 +57,8 @@ void resample_row(const Image<float>& band, const Affine& map, Interpolation int
     resample_run(
         band.row(static_cast<int>(iv) - 1) + static_cast<std::ptrdiff_t>(iu) - 1,
         static_cast<std::size_t>(band.width()),
-        {static_cast<float>(fu), static_cast<float>(fu_step), static_cast<float>(fv), static_cast<float>(fv_step)}, a,
-        run, values.data() + begin);
+        {static_cast<float>(fu), static_cast<float>(fu_step), static_cast<float>(fv), static_cast<float>(fv_step)}, run,
+        values.data() + begin);
     begin += run;
   }
 }

@@ -14,10 +14,11 @@ struct BlockRow {
   static constexpr int length = columns + 2;  ///< with one more on either side for gradients
 };
 
-/// Bicubic values of `band` at the positions of the first image's pixels (u, v), (u + 1, v), … The 4 × 4 samples of
-/// each must exist. Near the identity, neighboring pixels have neighboring samples, which are loaded together.
-void resample_row(const Image<float>& band, const Affine& map, Interpolation interpolation, int u, int v,
-                  std::span<float> values);
+/// Values of `band` at the positions of the first image's pixels (u, v), (u + 1, v), … by cubic convolution with
+/// a = −0.5 (Keys 1981), which does not displace ramps: the images' true places are wanted. The bands are too smooth to
+/// need splines, which would have to be made of them first. The 4 × 4 samples of each position must exist. Near the
+/// identity, neighboring pixels have neighboring samples, which are loaded together.
+void resample_row(const Image<float>& band, const Affine& map, int u, int v, std::span<float> values);
 
 /// A row of every aligned image, and this row and its two neighbors in the images' mean. Each pointer is to
 /// BlockRow::length values.

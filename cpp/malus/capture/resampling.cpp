@@ -1,26 +1,45 @@
+#include <algorithm>
 #include <cmath>
-#include <limits>
+#include <cstddef>
+#include <numeric>
 
 #include "malus/capture/resampling_internal.h"
+#include "malus/capture/spline_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
 namespace {
 
-/// Top-left sample of the 4 × 4 support and the fraction within; nothing unless the support lies in the raster. A
-/// position on the last row or column needs no sample beyond it, so the support is shifted inwards there.
+/// Top-left sample of the spline's support and the fraction within; nothing unless the support lies in the raster. A
+/// position on the last possible row or column needs no sample beyond it, so the support is shifted inwards there.
 struct Support {
   int u, v;
   double fu, fv;
 };
 
 std::optional<Support> support_at(const Eigen::Vector2d& position, Size size) {
-  if (!(position.x() >= 1 && position.y() >= 1 && position.x() <= size.width - 2 && position.y() <= size.height - 2)) {
+  constexpr int before = spline_support / 2 - 1, after = spline_support / 2;
+  if (!(position.x() >= before && position.y() >= before && position.x() <= size.width - after &&
+        position.y() <= size.height - after)) {
     return std::nullopt;
   }
-  const int u = std::min(static_cast<int>(position.x()), size.width - 3);
-  const int v = std::min(static_cast<int>(position.y()), size.height - 3);
-  return Support{u - 1, v - 1, position.x() - u, position.y() - v};
+  const int u = std::min(static_cast<int>(position.x()), size.width - 1 - after);
+  const int v = std::min(static_cast<int>(position.y()), size.height - 1 - after);
+  return Support{u - before, v - before, position.x() - u, position.y() - v};
+}
+
+/// Values of all channels of the spline with these coefficients.
+void spline_values(const Image<float>& coefficients, const Support& support, float* values) {
+  const auto wu = spline_weights(support.fu), wv = spline_weights(support.fv);
+  const int channels = coefficients.channels();
+  for (int c = 0; c < channels; ++c) {
+    float columns[spline_support] = {};
+    for (int j = 0; j < spline_support; ++j) {
+      const float* const row = coefficients.row(support.v + j) + static_cast<std::ptrdiff_t>(support.u) * channels + c;
+      for (int i = 0; i < spline_support; ++i) columns[i] += wv[static_cast<std::size_t>(j)] * row[i * channels];
+    }
+    values[c] = std::inner_product(wu.begin(), wu.end(), columns, 0.0F);
+  }
 }
 
 }  // namespace
@@ -40,34 +59,18 @@ Eigen::Vector2d ResamplingMap::operator()(int u, int v) const {
   return image_from_base_.leftCols<2>() * base + image_from_base_.col(2);
 }
 
-Eigen::Vector4d bicubic_weights(double fraction, Interpolation interpolation) {
-  const double a = interpolation == Interpolation::bicubic ? -0.75 : -0.5;
-  const auto near = [a](double x) { return ((a + 2) * x - (a + 3)) * x * x + 1; };
-  const auto far = [a](double x) { return ((a * x - 5 * a) * x + 8 * a) * x - 4 * a; };
-  return {far(1 + fraction), near(fraction), near(1 - fraction), far(2 - fraction)};
-}
-
-Resampled resample(const Image<float>& source, Size size, const ResamplingMap& map, Interpolation interpolation,
-                   const Context& context) {
-  if (map.is_identity() && source.size() == size) return {source, Mask(size, 1, 255)};
-  const int channels = source.channels();
-  Resampled result{Image<float>::uninitialized(size, channels), Mask::uninitialized(size)};
+Resampled resample(Image<float> image, Size size, const ResamplingMap& map, const Context& context) {
+  if (map.is_identity() && image.size() == size) return {std::move(image), Mask(size, 1, 255)};
+  to_spline_coefficients(image, context);
+  Resampled result{Image<float>::uninitialized(size, image.channels()), Mask::uninitialized(size)};
   parallel_pixels(context, size, [&](int u, int v) {
-    const auto support = support_at(map(u, v), source.size());
+    float* const values = &result.image(u, v);
+    const auto support = support_at(map(u, v), image.size());
     result.valid(u, v) = support ? 255 : 0;
-    if (!support) {
-      for (int c = 0; c < channels; ++c) result.image(u, v, c) = std::numeric_limits<float>::quiet_NaN();
-      return;
-    }
-    const Eigen::Vector4d wu = bicubic_weights(support->fu, interpolation);
-    const Eigen::Vector4d wv = bicubic_weights(support->fv, interpolation);
-    for (int c = 0; c < channels; ++c) {
-      double sum = 0;
-      for (int j = 0; j < 4; ++j) {
-        const float* row = source.row(support->v + j) + static_cast<std::ptrdiff_t>(support->u) * channels + c;
-        sum += wv[j] * (wu[0] * row[0] + wu[1] * row[channels] + wu[2] * row[2 * channels] + wu[3] * row[3 * channels]);
-      }
-      result.image(u, v, c) = static_cast<float>(sum);
+    if (support) {
+      spline_values(image, *support, values);
+    } else {
+      std::fill_n(values, image.channels(), no_value);
     }
   });
   return result;
@@ -79,12 +82,32 @@ Mask resample_flags(const Mask& flags, Size size, const ResamplingMap& map, cons
   parallel_pixels(context, size, [&](int u, int v) {
     const auto support = support_at(map(u, v), flags.size());
     std::uint8_t any = 0;
-    for (int j = 0; support && j < 4; ++j) {
+    for (int j = 0; support && j < spline_support; ++j) {
       const std::uint8_t* row = flags.row(support->v + j) + support->u;
       any |= row[0] | row[1] | row[2] | row[3];
     }
     result(u, v) = any != 0 ? 255 : 0;
   });
+  return result;
+}
+
+Image<float> undistorted(Image<float> image, const LensCamera& lens, const Context& context) {
+  Mask holes(image.size());
+  float last = 0;  // in place of a hole, so that the spline has no step there
+  for (std::size_t i = 0; i < image.count(); ++i) {
+    if (std::isfinite(image[i])) {
+      last = image[i];
+    } else {
+      image[i] = last;
+      holes[i] = 255;
+    }
+  }
+  const ResamplingMap map(lens, identity_affine());
+  Image<float> result = resample(std::move(image), lens.size, map, context).image;
+  const Mask unknown = resample_flags(holes, lens.size, map, context);
+  for (std::size_t i = 0; i < result.count(); ++i) {
+    if (unknown[i]) result[i] = no_value;
+  }
   return result;
 }
 

@@ -6,7 +6,6 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/options/capture_options.h"
 
 namespace malus {
 
@@ -37,18 +36,20 @@ class ResamplingMap {
 /// A resampled image and where it is valid.
 struct Resampled {
   Image<float> image;  ///< NaN outside
-  Mask valid;          ///< 255 where all 4 × 4 samples lie in the source
+  Mask valid;          ///< 255 where the spline's support, 4 × 4 pixels, lies in the source
 };
 
-/// Bicubic resampling of a raster with any number of channels, with weights computed for each pixel (OpenCV's tables
-/// round positions to 1/32 px). An identity map returns the source bit for bit. Results do not depend on threads.
-Resampled resample(const Image<float>& source, Size size, const ResamplingMap& map, Interpolation interpolation,
-                   const Context& context);
+/// Resampling of a raster with any number of channels by cubic B-splines (spline_internal.h), with weights computed for
+/// each pixel. Values must be finite. An identity map returns the image bit for bit. Results do not depend on threads.
+/// Memory: the result and `image`, which becomes the spline's coefficients.
+Resampled resample(Image<float> image, Size size, const ResamplingMap& map, const Context& context);
 
-/// 255 where any of the 4 × 4 samples that make the resampled pixel is set in `flags` (the pixel itself for identity).
+/// 255 where any of the 4 × 4 pixels around the resampled one is set in `flags` (the pixel itself for identity).
+/// Samples farther away have weights of up to .037, falling to a quarter with every pixel.
 Mask resample_flags(const Mask& flags, Size size, const ResamplingMap& map, const Context& context);
 
-/// Weights of the samples at floor(x) − 1 … floor(x) + 2 for the fraction x − floor(x).
-Eigen::Vector4d bicubic_weights(double fraction, Interpolation interpolation);
+/// An image of one channel as a camera of the same focal length without distortion sees it; NaN outside the image and
+/// around values that are not finite.
+Image<float> undistorted(Image<float> image, const LensCamera& lens, const Context& context);
 
 }  // namespace malus

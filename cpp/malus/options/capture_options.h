@@ -7,17 +7,7 @@
 
 namespace malus {
 
-/// Cubic convolution (Keys 1981) with a = −0.75, sharper and the same as OpenCV's bicubic, or a = −0.5, which
-/// reproduces straight ramps exactly. The former displaces smooth content by up to 0.048 px, depending on the sub-pixel
-/// position. Registration must use the interpolation that the images are resampled with: it then fits that displacement
-/// too.
-enum class Interpolation { bicubic, keys };
-constexpr auto names_of(Interpolation) {
-  return std::to_array<std::string_view>({"bicubic", "keys"});
-}
-
 struct RegistrationOptions {
-  Interpolation interpolation = Interpolation::bicubic;
   double fine_sigma_px = 0.7;  ///< of the band-pass filter for the comparison of images
   double coarse_sigma_px = 8;
   double cauchy_scale = 2;
@@ -27,9 +17,6 @@ struct RegistrationOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("interpolation", self.interpolation, any_value,
-          "interpolation of the images when they are registered and resampled: bicubic as OpenCV's (a = -0.75) or keys "
-          "(a = -0.5)");
     visit("fine_sigma_px", self.fine_sigma_px, Range{0.3, 10},
           "registration compares images after a band-pass filter: standard deviation of its finer Gaussian, in px");
     visit("coarse_sigma_px", self.coarse_sigma_px, Range{1, 100},

@@ -22,6 +22,7 @@
 #include "malus/polarization/interpolation_error_internal.h"
 #include "malus/polarization/pixel_curves_internal.h"
 #include "malus/polarization/reflection_internal.h"
+#include "malus/polarization/smoothing_internal.h"
 #include "malus/polarization/unpolarized_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/step_functions_internal.h"
@@ -251,6 +252,9 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   }
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
+  const bool moved =
+      std::ranges::any_of(stack.image_from_base, [](const Affine& map) { return map != identity_affine(); });
+  if (moved) smooth_polarization(*state, context);
   // No warning here: each unregistered image was already reported.
   if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
   const auto warn = [&](std::optional<Finding> found) {

@@ -70,7 +70,6 @@ TEST(Capture, moved_images_are_registered_unless_registration_is_off) {
   images[2] = AnalyticScene{0.05}.image(stone_size, map, std::numbers::pi / 2);
   CaptureInput input = input_of(images, {0, 45, 90, 135});
   CaptureOptions options;
-  options.registration.interpolation = Interpolation::keys;
   const PolarizedStack stack = capture_stack(input, options, two_threads());
   EXPECT_LT(affine_distance_px(stack.image_from_base[2], map, stone_size), 0.02);
   EXPECT_TRUE(stack.images[1] == images[1]) << "images that did not move stay unchanged";

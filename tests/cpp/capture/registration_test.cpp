@@ -35,9 +35,7 @@ const std::vector<Affine> moved_maps{identity_affine(), similarity(registered_si
                                      similarity(registered_size, 0.001, 1, 5.6, -4.4)};
 
 TEST(Registration, finds_affine_maps_of_a_polarized_scene) {
-  RegistrationOptions options;
-  options.interpolation = Interpolation::keys;
-  const auto results = register_images(scene_images(moved_maps, 0.05), NoiseModel{}, options, two_threads());
+  const auto results = register_images(scene_images(moved_maps, 0.05), NoiseModel{}, {}, two_threads());
   for (std::size_t k = 1; k < 4; ++k) {
     EXPECT_EQ(results[k].status, RegistrationStatus::ok) << results[k].message;
     EXPECT_LT(affine_distance_px(results[k].image_from_base, moved_maps[k], registered_size), 0.02) << k;
@@ -86,9 +84,7 @@ TEST(Registration, a_part_of_a_large_image_is_enough) {
   for (const Affine& moved : {identity_affine(), map}) {
     images.push_back(AnalyticScene{0}.image(large, moved, 0));
   }
-  RegistrationOptions options;
-  options.interpolation = Interpolation::keys;
-  const auto results = register_images(images, NoiseModel{}, options, two_threads());
+  const auto results = register_images(images, NoiseModel{}, {}, two_threads());
   EXPECT_EQ(results[1].status, RegistrationStatus::ok) << results[1].message;
   EXPECT_LT(affine_distance_px(results[1].image_from_base, map, large), 0.01);
 }

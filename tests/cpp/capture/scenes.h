@@ -39,19 +39,45 @@ inline CaptureInput rendered_station(const std::string& scene, const std::string
   return capture_input(spec, std::nullopt);
 }
 
+/// By how much cubic convolution with a = −0.75 displaces what it interpolates at a fraction of a pixel.
+inline double displacement_by_cubic(double position) {
+  const auto near = [](double x) { return ((1.25 * x - 2.25) * x) * x + 1; };
+  const auto far = [](double x) { return ((-0.75 * x + 3.75) * x - 6) * x + 3; };
+  const double f = position - std::floor(position);
+  return -far(1 + f) + near(1 - f) + 2 * far(2 - f) - f;
+}
+
+/// The map that a station's file states, and what the renderer made of it: it moved images by cubic convolution.
+inline Affine map_of_renderer(const Affine& stated, Size size) {
+  const Eigen::Matrix2d inverse = stated.leftCols<2>().inverse();
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+  Eigen::Matrix<double, 3, 2> sides = Eigen::Matrix<double, 3, 2>::Zero();
+  for (int v = 0; v < size.height; v += 5) {
+    for (int u = 0; u < size.width; u += 5) {
+      const Eigen::Vector2d at = inverse * (Eigen::Vector2d(u, v) - stated.col(2));
+      const Eigen::Vector3d shown(at.x() + displacement_by_cubic(at.x()), at.y() + displacement_by_cubic(at.y()), 1);
+      normal += shown * shown.transpose();
+      sides += shown * Eigen::RowVector2d(u, v);
+    }
+  }
+  const Eigen::Matrix<double, 3, 2> solution = normal.inverse() * sides;
+  return solution.transpose();
+}
+
 /// The true maps from the first image into the others.
 inline std::vector<Affine> true_maps(const std::string& scene, const std::string& set) {
   std::ifstream file(shared_data() / "rendered" / scene / "meta.json");
-  const auto matrices = nlohmann::json::parse(file)["pol_sets"][set]["M_ref_to_image"];
+  const nlohmann::json meta = nlohmann::json::parse(file);
+  const Size size{meta["size"][0].get<int>(), meta["size"][1].get<int>()};
   std::vector<Affine> maps;
-  for (const auto& matrix : matrices) {
+  for (const auto& matrix : meta["pol_sets"][set]["M_ref_to_image"]) {
     Affine map;
     for (int row = 0; row < 2; ++row) {
       for (int column = 0; column < 3; ++column) {
         map(row, column) = matrix[static_cast<std::size_t>(row)][static_cast<std::size_t>(column)].get<double>();
       }
     }
-    maps.push_back(map);
+    maps.push_back(map_of_renderer(map, size));
   }
   return maps;
 }
