@@ -141,7 +141,8 @@ def test_texture_of_moved_images_is_not_taken_for_polarization() -> None:
         du, dv = random.uniform(-0.7, 0.7, 2) if k else (0, 0)
         moved = np.fft.ifft2(texture * np.exp(-2j * np.pi * (fu * du + fv * dv))).real
         images.append(np.clip(0.35 + 0.13 * moved, 0.02, 0.95).astype(np.float32))
-    station = malus.Station(images, angles, polarized={"full_well_e": 20000, "read_noise_e": 8})
+    camera = malus.Camera("PINHOLE", side, side, [200.0, 200.0, 63.5, 63.5])
+    station = malus.Station(images, angles, camera, polarized={"full_well_e": 20000, "read_noise_e": 8})
     found = malus.reconstruct(station, until="polarization")
     assert found.degree is not None and np.nanmedian(found.degree[10:-10, 10:-10]) < 0.022  # .030 without smoothing
 
