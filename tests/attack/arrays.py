@@ -31,7 +31,7 @@ RESULTS = (_core.PolarizationState, _core.ReflectionMap, _core.DepthPrior, _core
 #: A call that takes longer with the test's own arguments is not repeated; one that takes as long as LONGEST_S is a finding.
 QUICK_S, LONGEST_S = 2.0, 60
 #: Time for all changes of one call; they come in random order.
-CALL_S = 60
+CALL_S = 15
 #: Calls of each function that are repeated with changes: those with other types of arguments come first.
 CALLS = 4
 EXPECTED = (malus.MalusError, ValueError, TypeError, MemoryError, Warning)
