@@ -87,13 +87,17 @@ def as_shares(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> list[NDA
 
 
 def as_angles(values: ArrayLike, name: str, count: int | None = None) -> list[float]:
-    """Angles in radians; ValueError for another shape, if a given `count` is not their number, and for values that look like degrees."""
+    """Angles in radians; ValueError for another shape, if a given `count` is not their number, and for values that look like degrees or
+    are not finite.
+    """
     array = as_numbers(values, name)
     if array.ndim != 1 or (count is not None and len(array) != count):
         expected = "(K,)" if count is None else f"({count},): one angle per image"
         raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
     angles = [float(value) for value in array]
     for k, angle in enumerate(angles):
+        if not np.isfinite(angle):
+            raise ValueError(f"{name}[{k}] = {angle}, expected a finite number")
         if abs(angle) > 2 * np.pi:
             raise ValueError(f"{name}[{k}] = {angle:g} is beyond 2 pi and so looks like degrees, expected radians")
     return angles

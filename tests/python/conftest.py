@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import io
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -27,6 +28,11 @@ from malus import _core, synthetic
 
 # A background job of a shell ignores Ctrl-C (SIGINT), and so do the programs that it starts. With a handler they do not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+#: Whether this is the Python of `scripts/test --sanitize python`, under which everything takes several times as long.
+SANITIZED = "/libasan.so" in Path("/proc/self/maps").read_text()
+#: What a sanitizer writes where it finds something.
+FOUND = re.compile("ERROR: AddressSanitizer|: runtime error: ")
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "relief"
@@ -102,6 +108,10 @@ def turns_of_another_thread(work: Callable[[], object]) -> int:
     return sum(begin < at < end for at in ticks)
 
 
+needs_plain_memory = pytest.mark.skipif(
+    SANITIZED, reason="AddressSanitizer takes terabytes of address space and keeps memory that is given back"
+)
+
 needs_shared = pytest.mark.skipif(not (SHARED / "data").exists(), reason="the test data in ../shared is not here")
 
 needs_distributed = pytest.mark.skipif(find_spec("distributed") is None, reason="the extra dask is not installed")
@@ -118,7 +128,11 @@ class Outcome:
 
 def run_program(*command: str | Path, **options: object) -> Outcome:
     """Run a command line, without a terminal."""
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=300, **options)  # type: ignore[call-overload]
+    patience = 3000 if SANITIZED else 300
+    done = subprocess.run(  # type: ignore[call-overload]
+        [str(word) for word in command], capture_output=True, text=True, timeout=patience, **options
+    )
+    assert not FOUND.search(done.stderr), done.stderr
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 

@@ -270,6 +270,10 @@ def test_wrong_angles_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray])
             call(images, ANGLES[:, None])
         with pytest.raises(ValueError, match=r"angles_rad\[1\] = 30 .*looks like degrees"):
             call(images, np.degrees(ANGLES))
+        # With such an angle no polarizer has a finite cost; the calibration then ended the process.
+        for angle in (np.nan, np.inf):
+            with pytest.raises(ValueError, match=rf"angles_rad\[5\] = {angle}, expected a finite number"):
+                call(images, [*ANGLES[:5], angle])
     camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
     with pytest.raises(ValueError, match="angles_deg has type .*expected numbers"):
         malus.Station(images, ["0°"] * 6, camera)  # type: ignore[list-item]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import shutil
 import subprocess
@@ -271,3 +272,16 @@ def test_programs_under_sanitizers_start(tmp_path: Path, sanitizer: str) -> None
     flags = ("-std=c++20", "-O1", "-g1", f"-fsanitize={sanitizer}", f"-I{ROOT / 'cpp'}")
     subprocess.run(["g++", *flags, source, "-o", program], check=True)
     assert subprocess.run([program], check=False).returncode == 0
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler")
+def test_undefined_behavior_ends_programs_of_the_sanitize_preset(tmp_path: Path) -> None:
+    """It was only printed, and a test that passes shows nothing of what was printed."""
+    presets = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))["configurePresets"]
+    [settings] = [preset["cacheVariables"] for preset in presets if preset["name"] == "sanitize"]
+    source, program = tmp_path / "sum.cpp", tmp_path / "sum"
+    source.write_text("int main(int count, char**) { int most = 2147483647; return (most += count) == 3; }\n")
+    flags = [*settings.get("CMAKE_CXX_FLAGS", "").split(), f"-fsanitize={settings['MALUS_SANITIZE']}"]
+    subprocess.run(["g++", *flags, source, "-o", program], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "signed integer overflow" in done.stderr

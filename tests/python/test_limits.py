@@ -23,7 +23,16 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngImageFile
 
-from conftest import Outcome, edit, half_written, malus, malus_here, malus_station, turns_of_another_thread
+from conftest import (
+    Outcome,
+    edit,
+    half_written,
+    malus,
+    malus_here,
+    malus_station,
+    needs_plain_memory,
+    turns_of_another_thread,
+)
 from malus import _core, _patterns
 from malus._files import new_folder, read_record, replacing, scratch_folder, write_record
 from malus._patterns import matching
@@ -46,6 +55,7 @@ def run_both(*arguments: str | Path) -> list[Outcome]:
     return [malus("run", *arguments), malus_station(*arguments)]
 
 
+@needs_plain_memory
 @pytest.mark.parametrize("limit_mb", [150, 256, 320, 400, 480])
 def test_a_limit_of_address_space_ends_a_run_and_the_next_one_finishes(
     small_station: Path, tmp_path: Path, limit_mb: int
@@ -59,6 +69,7 @@ def test_a_limit_of_address_space_ends_a_run_and_the_next_one_finishes(
     assert malus_station(*arguments).code == 0
 
 
+@needs_plain_memory
 def test_compressed_text_of_a_png_takes_no_memory(tmp_path: Path) -> None:
     """A few KB of it would be kept as megabytes."""
 
@@ -80,6 +91,7 @@ def test_compressed_text_of_a_png_takes_no_memory(tmp_path: Path) -> None:
     assert int(done.stdout) << 10 < 32 * MB
 
 
+@needs_plain_memory
 def test_too_little_memory_to_start_is_said(small_station: Path) -> None:
     outcome = malus("check", small_station, **limited(resource.RLIMIT_AS, 300 * MB))
     assert (outcome.code, outcome.err.count("\n")) == (5, 1)

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import malus
-from conftest import EXAMPLE
+from conftest import EXAMPLE, needs_plain_memory
 from malus import _core
 from malus.photogrammetry import bench, cost, memory
 from malus.photogrammetry.bench import Bench
@@ -63,6 +63,7 @@ def enlarged(camera: malus.Camera) -> malus.Camera:
     )
 
 
+@needs_plain_memory
 def test_a_sweep_holds_photos_once(tmp_path: Path) -> None:
     _, views, _ = scene()
     megabytes = 0.0

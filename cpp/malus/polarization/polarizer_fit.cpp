@@ -352,6 +352,11 @@ Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd
       best = std::move(candidate);
     }
   }
+  if (best.values.size() == 0) {  // every cost overflows
+    throw data_error(
+        "the polarizer angles cannot be calibrated: the images' noise, which full_well_e, read_noise_e and "
+        "frames_averaged state, is too small to compute with");
+  }
   return best;
 }
 
@@ -386,6 +391,11 @@ void check(std::span<const Image<float>> images, std::span<const double> nominal
   if (!nominal_rad.empty() && nominal_rad.size() != images.size()) {
     throw input_error(std::to_string(images.size()) + " polarized images but " + std::to_string(nominal_rad.size()) +
                       " polarizer angles, expected one angle per image");
+  }
+  for (std::size_t k = 0; k < nominal_rad.size(); ++k) {
+    if (!std::isfinite(nominal_rad[k])) {
+      throw input_error("angle of polarized image " + std::to_string(k) + " is not a finite number");
+    }
   }
   const std::size_t needed = nominal_rad.empty() ? min_images_for_free_angles : 3;
   if (images.size() < needed) {

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 
 #include "malus/polarization/frame_calibration_internal.h"
@@ -130,6 +131,19 @@ TEST(PolarizerFit, RefusesTooFewImagesAndMismatchedInput) {
   expect_error(ErrorCode::data, fit({}, mask), "4 polarized images, expected at least 5");
   expect_error(ErrorCode::input, fit({0, 1}, mask));
   expect_error(ErrorCode::data, fit(radians({0, 45, 90, 135}), Mask(scene.size)));
+  const double none = std::numeric_limits<double>::quiet_NaN();
+  expect_error(ErrorCode::input, fit({0, 1, 2, none}, mask), "angle of polarized image 3 is not a finite number");
+}
+
+// No polarizer had a finite cost; the one without values that was then used ended the program.
+TEST(PolarizerFit, RefusesNoiseThatIsTooSmallToComputeWith) {
+  const PolarizerScene scene;
+  const std::vector<double> angles = radians({0, 45, 90, 135});
+  const auto images = scene.images(angles, {1, 1, 1, 1}, low_noise);
+  const NoiseModel none{1e300, 0, 0, 1};
+  expect_error(
+      ErrorCode::data, [&] { fit_polarizer(images, angles, none, Mask(scene.size, 1, 255), {}, {}, {}); },
+      "too small to compute with");
 }
 
 }  // namespace
