@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
@@ -22,6 +23,8 @@ def fit_patch(depth: ArrayLike, camera: Camera, box: Sequence[int], gsd: float) 
     """
     if len(box) != 4:
         raise ValueError(f"box has {len(box)} numbers, expected 4: x0, y0, x1, y1")
+    if not np.isfinite(box).all():
+        raise ValueError(f"box = {list(box)}, expected finite numbers")
     x0, y0, x1, y1 = (int(value) for value in box)
     return _core.fit_patch(as_image(depth, "depth"), camera, x0, y0, x1, y1, gsd)
 

@@ -354,6 +354,8 @@ def test_mesh_and_assessment_on_arrays() -> None:
     np.testing.assert_allclose(mesh.vertices @ normal, -100 / np.hypot(0.1, 1), atol=1e-4)
 
     patch = malus.assess.fit_patch(depth, camera, (5, 5, 34, 24), 0.25)
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        malus.assess.fit_patch(depth, camera, (5, 5, 34, np.inf), 0.25)  # type: ignore[arg-type]
     assert patch is not None and patch["count"] == 600 and patch["rmse_gsd"] < 1e-4
     behind = mesh.vertices + 0.2 * -normal
     away = malus.Options(assess={"alignment": "none"})
