@@ -585,7 +585,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     _print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
-    _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))
+    _print_lines(*([f"warning: {warning}" for warning in plan["warnings"]] or ["no warnings"]))
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         shown = (
