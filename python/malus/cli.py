@@ -94,14 +94,15 @@ def _with_the_nearest(message: str) -> str:
     return f"{message[: wrong.start()]}{wrong[1]!r} is unknown; did you mean {near[0]}?" if wrong and near else message
 
 
-def _leaves(until: str, fusion: str | None) -> str:
+def _leaves(until: str, fusion: str | None, *more: str) -> str:
+    """The end of a command's help: the files of its steps, and `more`."""
     options = malus.Options()
     if fusion is not None:
         options.fusion = fusion
     lines = ["leaves in WORK:"]
     for step, _, files in _core.describe_run(options.to_json(), until):
         lines += [f"  {file}  ({step})" for file in files]
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"  {file}" for file in more)])
 
 
 _Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
@@ -217,9 +218,18 @@ def _add_runs(add: _Add) -> None:
         help="file for the picture of the cloud over the image; default: STATION-check.png in the current folder",
     )
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
-    for name, (until, fusion, _) in STEP_COMMANDS.items():
-        steps[name].formatter_class = argparse.RawDescriptionHelpFormatter
-        steps[name].epilog = _leaves(until, fusion)
+    of_a_run = _leaves("assess", None, "report/index.html  (report)")
+    told = [(run, of_a_run), (demo, of_a_run)]
+    told.append(
+        (
+            paper,
+            _leaves("assess", "grid", "paper/captions.md, figures and tables  (paper)", "report/index.html  (report)"),
+        )
+    )
+    told += [(steps[name], _leaves(until, fusion)) for name, (until, fusion, _) in STEP_COMMANDS.items()]
+    for command, files in told:
+        command.formatter_class = argparse.RawDescriptionHelpFormatter
+        command.epilog = files
     for command in (run, paper, steps["assess"]):
         command.add_argument(
             "--reference",
@@ -585,7 +595,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     _print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
-    _print_lines(*(f"warning: {warning}" for warning in plan["warnings"]))
+    _print_lines(*([f"warning: {warning}" for warning in plan["warnings"]] or ["no warnings"]))
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         shown = (

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import inspect
 import re
 import shlex
 import shutil
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -263,6 +265,7 @@ def test_station_file_commands_and_program_of_the_readme_run(tmp_path: Path, mon
     (tmp_path / "station.toml").write_text(blocks["toml"])
     outcome = malus_here("check", "station.toml")
     assert outcome.code == 0, outcome.err
+    assert "\nno warnings\n" in outcome.out and "\n\n" not in outcome.out
     # The commands and the program run on a small window; `given` defines the reader's images and angles, which the program uses.
     small = tmp_path / "small"
     cut_out(small, TINY_WINDOW, TINY_PATCH)
@@ -331,11 +334,68 @@ def test_troubleshooting_quotes_messages_that_exist() -> None:
     )
     # Messages are written as several literals that the compiler joins.
     sources = re.sub(r'"\s*\n\s*(?:<<\s*|\+\s*|f)?"', "", sources)
-    rows = re.findall(r"^\| (.*?) \|", (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
-    quotes = [quote for row in rows for quote in re.findall(r"`([^`]+)`", row) if " " in quote]
+    quotes = _explained()
     assert len(quotes) > 8
-    missing = [quote for quote in quotes if any(part.strip() not in sources for part in re.split(r"…", quote))]
+    missing = [quote for quote in quotes if any(part.strip() not in sources for part in quote.split("…"))]
     assert not missing
+
+
+def _explained() -> list[str]:
+    """The messages, or parts of them with … between, that the tables of troubleshooting explain: code of several words in their first
+    columns.
+    """
+    pages = ("troubleshooting.md", "capture.md")
+    tables = "\n".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in pages)
+    rows = re.findall(r"^\| (.*?) \|", tables, re.MULTILINE)
+    return [quote for row in rows for quote in re.findall(r"`([^`]+)`", row) if " " in quote]
+
+
+#: In C++: a comment, a character, a raw string, a string (the group), the end of a statement.
+_CPP_TOKEN = re.compile(r"""//[^\n]*|'(?:\\.|[^'\\])'|R"\(.*?\)"|"((?:[^"\\]|\\.)*)"|;""", re.DOTALL)
+_CPP_WARNING = re.compile(
+    r"LogLevel::warning|ConfidenceLevel::(?:partial|low)|Severity::(?:caution|warning)|warnings\.(?:push|emplace)_back"
+)
+
+
+def _warnings_of_cpp(text: str) -> Iterator[str]:
+    """The strings of each statement that warns or lowers the confidence, joined."""
+    text = re.sub(r"^#include.*", "", text, flags=re.MULTILINE)
+    strings: list[str] = []
+    start = 0
+    for token in _CPP_TOKEN.finditer(text):
+        if token[0] == ";":
+            if _CPP_WARNING.search(text[start : token.start()]):
+                yield "".join(strings)
+            strings, start = [], token.end()
+        elif token[1] is not None:
+            strings.append(token[1])
+
+
+def _warnings_of_python(text: str) -> Iterator[str]:
+    """The strings of each call of log("warning", …) or warnings.append(…), joined."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Call) and node.args:
+            first = node.args[0]
+            logs = isinstance(first, ast.Constant) and first.value == "warning"
+            if logs or ast.unparse(node.func).endswith("warnings.append"):
+                words = (part.value for part in ast.walk(node) if isinstance(part, ast.Constant))
+                yield "".join(word for word in words if isinstance(word, str))
+
+
+def test_every_warning_is_explained() -> None:
+    readers = ((ROOT / "cpp", "*.cpp", _warnings_of_cpp), (ROOT / "python/malus", "*.py", _warnings_of_python))
+    said = [
+        warning
+        for folder, names, warnings_of in readers
+        for path in sorted(folder.rglob(names))
+        for warning in warnings_of(path.read_text(encoding="utf-8"))
+        if len(re.findall("[a-z]{2,}", warning)) > 3  # otherwise the sentence is made elsewhere
+    ]
+    assert len(said) > 80
+    quotes = [quote.split("…") for quote in _explained()]
+    assert not [
+        warning for warning in said if not any(all(part.strip() in warning for part in quote) for quote in quotes)
+    ]
 
 
 def test_the_python_reference_has_every_public_name() -> None:

@@ -274,6 +274,8 @@ def test_every_command_leaves_what_its_help_says(tiny_station_source: Path, tmp_
     assert leaves("refine") == leaves("fuse")
     assert malus_here("report", work).code == 0
     assert (work / "report/index.html").stat().st_size > 0
+    assert leaves("run") == leaves("demo") == leaves("assess") | {"report/index.html"}
+    assert "paper/captions.md, figures and tables" in malus_here("paper", "--help").out
 
 
 def test_grid_fusion_is_no_refinement(tiny_station: Path, tmp_path: Path) -> None:

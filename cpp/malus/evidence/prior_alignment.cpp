@@ -382,7 +382,7 @@ std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pi
                              const std::string& unit) {
   const auto ideas = moved_clouds(cloud, pose, CoverageCounter(camera, object), unit, 1);
   if (ideas.empty() || ideas.front().coverage.covered < moved_covers) return "";
-  return "it would if " + ideas.front().what + "; " + ideas.front().remedy;
+  return ideas.front().what + ": only then does it fall there; " + ideas.front().remedy;
 }
 
 PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const AlignmentScene& scene,

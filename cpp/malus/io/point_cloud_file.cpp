@@ -573,7 +573,7 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
   InputFile file(path, "mesh");
   if (!is_ply(file)) throw file.error("is not a PLY file, expected one; convert other meshes, such as OBJ and STL");
   TriangleMesh mesh = read_ply(file, PlyParts::vertices_and_faces, context);
-  if (mesh.triangles.empty()) throw file.error("has no faces");
+  if (mesh.triangles.empty()) throw file.error("has no faces, expected some; points alone are a cloud");
   return mesh;
 }
 

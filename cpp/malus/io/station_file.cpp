@@ -644,9 +644,11 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
     for (const std::string_view key : {"a", "b"}) {
       std::vector<ImageMark>& end = key == "a" ? bar.a : bar.b;
       end = read_marks(table, key, photos);
-      if (end.size() < 2)
+      if (end.size() < 2) {
         throw table.error(key,
-                          "has " + std::to_string(end.size()) + " marks, expected two or more, in different photos");
+                          "has " + std::to_string(end.size()) + " marks, expected two or more, in different " +
+                              (photos ? "photos" : "images of colmap_model, or points of the prior (a_xyz, b_xyz)"));
+      }
     }
   }
   return bar;

@@ -15,6 +15,10 @@ Log = Callable[[str, str], None]
 FEW_FEATURES = 200
 #: With a smaller relief (spread of the points across their plane over the spread along it) the focal length cannot be determined.
 FLAT_RELIEF = 0.02
+NO_SIZE = (
+    "there is neither [[scale]] nor [[control]]: the result is in an arbitrary unit, shape without size; give the distance of two "
+    "marked points"
+)
 _LISTED = 6
 
 _OVERLAP = (

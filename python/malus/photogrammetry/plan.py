@@ -76,11 +76,17 @@ def plan(
         _scale_line(station),
     ]
     if known is None and any(group.focal_px is None for group in groups):
-        warnings.append("[photos]: neither camera nor EXIF focal length is known; flat scenes cannot be solved so")
+        warnings.append(
+            "[photos]: neither `camera` nor an EXIF focal length states their lens: if the scene is flat or the lens is long, the "
+            "photos cannot be placed; give the calibrated lens as camera = { model, width, height, params }"
+        )
     if not station["scale"] and not station["control"]:
-        warnings.append("there is no [[scale]]: the result is in an arbitrary unit, shape without size")
+        warnings.append(diagnosis.NO_SIZE)
     if "camera" not in station:
-        warnings.append("[camera] is missing: the station's lens is taken from the photos or self-calibrated")
+        warnings.append(
+            "[camera] is missing: the station's lens is taken from the photos if it is theirs, else calibrated from one image, which "
+            "determines its distance badly; give model, width, height and params"
+        )
     work = Work([(photo.width, photo.height) for photo in photos], len(pairs), station_mpx, options, threads)
     again = ", then again about the surface fused with it" if options.sweep.again else ""
     sweep = f"sweep: depth of the station's view from the photos{again}"

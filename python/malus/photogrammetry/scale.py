@@ -14,7 +14,7 @@ from malus import _core
 from malus.camera import Camera
 from malus.errors import DataError
 from malus.options import Options
-from malus.photogrammetry.diagnosis import Log, listed
+from malus.photogrammetry.diagnosis import NO_SIZE, Log, listed
 from malus.photogrammetry.photos import Photo, read_gray, to_bytes
 
 #: Residuals of more standard deviations are likely mistakes.
@@ -70,7 +70,7 @@ def adjust_scale(
     warning. None when the station has no [[scale]]; DataError when none of its distances can be measured.
     """
     if not bars:
-        log("warning", "there is no [[scale]]: the result is in an arbitrary unit, shape without size")
+        log("warning", NO_SIZE)
         return None
     dictionaries = {str(bar["targets_dictionary"]) for bar in bars if bar["targets"]}
     found = {name: find_targets(photos, name) for name in sorted(dictionaries)}

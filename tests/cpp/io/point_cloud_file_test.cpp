@@ -267,7 +267,7 @@ TEST(PointCloudFile, BadHeadersAreInputErrors) {
   cloud.points.assign(3, Eigen::Vector3d(1, 2, 3));
   write_ply(folder / "cloud.ply", TriangleMesh{cloud, {}});
   expect_error(
-      ErrorCode::input, [&] { read_mesh(folder / "cloud.ply"); }, "no faces");
+      ErrorCode::input, [&] { read_mesh(folder / "cloud.ply"); }, "no faces, expected some; points alone are a cloud");
 }
 
 TEST(PointCloudFile, TruncatedAndMutatedFilesAreInputErrors) {

@@ -526,7 +526,7 @@ TEST_F(StationFileTest, ReadsPhotosAndScale) {
   };
   rejects_scale("distance = -1\n" + a + b, "[[scale]] 1.distance = -1", "greater than 0");
   rejects_scale(a + b, "distance", "is missing");
-  rejects_scale("distance = 1\n" + a, "[[scale]] 1.b", "0 marks");
+  rejects_scale("distance = 1\n" + a, "[[scale]] 1.b", "0 marks", "different photos");
   rejects_scale("distance = 1\n" + a + "b = [{ image = \"9.jpg\", x = 1, y = 2 }]\n", "9.jpg", "no such file");
   rejects_scale("distance = 1\n" + a + "b = [{ image = \"1.jpg\", x = 1, z = 2 }]\n", "unknown key", "\"x\"");
   rejects_scale(
@@ -537,6 +537,8 @@ TEST_F(StationFileTest, ReadsPhotosAndScale) {
   Sections without = {};
   without.rest = "[[scale]]\ndistance = 1\n" + a + b;
   rejects(without, "scale", "marks need the cameras of their images");
+  without.rest = "[[scale]]\ndistance = 1\n";
+  rejects(without, "[[scale]] 1.a", "0 marks", "a_xyz");
 }
 
 /// Control points as marked by the camera of `Sections`, 50 in front of the plane z = 0.
