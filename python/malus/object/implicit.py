@@ -180,8 +180,8 @@ def exact_vertices(field: NDArray[np.float32], at: NDArray[np.float32]) -> Float
     after = before + np.eye(3, dtype=np.int64)[axis]
     first, last = (field[tuple(nodes.T)].astype(np.float64) for nodes in (before, after))
     crossed = (first > 0) != (last > 0)
-    some, axis, first, last = (values[crossed] for values in (some, axis, first, last))
-    exact[some, axis] = node[some, axis] + first / (first - last)
+    some, axis = some[crossed], axis[crossed]
+    exact[some, axis] = node[some, axis] + first[crossed] / (first - last)[crossed]
     return exact
 
 
