@@ -19,16 +19,19 @@ from malus.object import (
     combine,
     implicit,
     joined_mesh,
+    meshing,
     pieces,
     textured,
 )
 from malus.object import reference as references
-from malus.object.agreement import joined, without_coarser, without_outliers
+from malus.object.agreement import joined, scales_of, without_coarser, without_outliers
+from malus.object.implicit import _edge_number, exact_vertices
 from malus.object.levels import FINEST, Cube, Levels, _crossings, refined
 from malus.object.meshing import edges_of, face_normals
 from malus.object.reference import Reference
 from malus.object.run import _all_points, _write_mesh, mesh_figures
 from malus.object.sharpening import sharpened
+from malus.object.texture import NearestVertices, _levels
 from malus.photogrammetry.program import Colmap
 from test_object import sphere_view
 from test_object_sharpening import phases_of, rough
@@ -135,6 +138,34 @@ def test_parts_of_three_finenesses_meet(near: View, tmp_path: Path) -> None:
     mesh = mesh_of([*far, near, *others], tmp_path)
     assert mesh.level is not None and set(np.unique(mesh.level)) == {0, 1, 2, 3}
     assert inner_borders(mesh) == 0
+
+
+def test_a_vertex_has_one_number_in_coarse_and_in_fine_cells() -> None:
+    """At the limit from which on a vertex counts as on its edge and no more on the node beside it."""
+    marching_cubes = pytest.importorskip("skimage.measure").marching_cubes
+    at = 100 + (1 / 512 + 1e-5) / 8
+
+    def number(field: Floats, finer: int, first: int) -> int:
+        values = np.broadcast_to(field.astype(np.float32)[:, None], (2, 129, 2))
+        vertices = exact_vertices(values, marching_cubes(values, 0.0, gradient_direction="descent")[0])
+        (found,) = _edge_number((vertices[(vertices[:, [0, 2]] == 0).all(1)] + [0, first, 0]) * finer)
+        return int(found)
+
+    nodes = np.arange(129)
+    assert number(nodes - at, 8, 0) == number(8 * (96 + nodes / 8 - at), 1, 8 * 96)
+
+
+def test_pixels_far_smaller_than_the_finest_cells_leave_no_holes(near: View, tmp_path: Path) -> None:
+    times = 30
+    scale = scales_of([*FAR, replace(near, gsd=1 / times)])[-1]
+    across = np.array([[1.0, -1, 0], [1, 1, -2]]) / np.sqrt([[2], [6]])
+    places = np.stack(np.meshgrid(*2 * [np.arange(-1.5, 1.5, 1 / times)]), -1).reshape(-1, 2)
+    up, one = np.tile(np.ones(3) / np.sqrt(3), (len(places), 1)), np.ones(len(places))
+    points = OrientedPoints(places @ across, up, one, one.astype(np.int64), scale * one)
+    mesh = joined_mesh(pieces(points, 1.0), tmp_path, 4.0)
+    middle = (np.abs(mesh.vertices[mesh.triangles].mean(1) @ across.T) < 1).all(1)
+    areas = np.linalg.norm(face_normals(mesh.vertices, mesh.triangles), axis=1) / 2
+    assert areas[middle].sum() == pytest.approx(4, rel=0.03)
 
 
 def test_gsds_that_differ_by_less_than_a_quarter_change_nothing(tmp_path: Path) -> None:
@@ -279,6 +310,36 @@ def test_a_closed_mesh_keeps_the_detail(fine: ObjectMesh, tmp_path: Path) -> Non
     top = closed.measured & (closed.normals[:, 2] > 0) & (closed.vertices[:, 2] > -1)
     x, y, z = closed.vertices[top & (np.abs(closed.vertices[:, :2]).max(1) < 4)].T
     assert np.sqrt(((z - ground(x, y, True)) ** 2).mean()) < 0.2 * HIGH
+
+
+def test_the_level_of_a_closed_mesh_is_that_of_its_octree(
+    fine: ObjectMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The octree of a large object cannot have the finest cells."""
+    monkeypatch.setattr(meshing, "poisson_mesh", lambda points, gsd, folder, colmap, halved: replace(fine, level=None))
+    for depth, finest in ((13, 2), (7, 1)):
+        monkeypatch.setattr(meshing, "_MOST_DEPTH", depth)
+        level = closed_surface(fine, 1.0, tmp_path, Colmap(1)).level
+        assert level is not None and level.max() == finest
+    monkeypatch.setattr(meshing, "_MOST_DEPTH", 6)
+    assert closed_surface(fine, 1.0, tmp_path, Colmap(1)).level is None
+
+
+def test_the_levels_of_a_large_mesh_are_found_in_parts(fine: ObjectMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    places = fine.vertices[fine.triangles[::7]].mean(1)
+    expected = _levels(fine, places)
+    assert set(np.unique(expected)) == {0, 2}
+    searched: list[int] = []
+    among = NearestVertices._among
+
+    def counted(self: NearestVertices, rows: NDArray[np.int64]) -> object:
+        searched.append(len(rows))
+        return among(self, rows)
+
+    monkeypatch.setattr("malus.object.texture._MOST_IN_MEMORY", 10)
+    monkeypatch.setattr(NearestVertices, "_among", counted)
+    np.testing.assert_array_equal(_levels(fine, places), expected)
+    assert max(searched) < len(fine.vertices) / 4
 
 
 def test_phases_of_larger_pixels_do_not_smooth_a_surface() -> None:

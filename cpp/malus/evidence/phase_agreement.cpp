@@ -95,7 +95,7 @@ Finding finding_of(PhaseAgreement& agreement) {
   finding.message = text.str();
   finding.suggestion =
       "is the prior in the right place, are the images of this object, and the angles in the order of the images? "
-      "Metal does this, too, and is not improved by polarization";
+      "Bare metal does this, too: state which one as metal in [optics]";
   return finding;
 }
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus.object.arrays import chunks
+from malus.object.levels import FINEST
 from malus.object.views import ALIKE, LEAST_COSINE, Bools, Floats, View, scipy, unit
 
 #: Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of them is wrong.
@@ -32,8 +33,9 @@ _MOST_BESIDE = 0.01
 _BESIDE_FINER, _ACROSS_FINER = 1.0, 2.0
 #: A lattice's cells are halved until they are no larger than this many pixels.
 _LARGEST_CELL = 4 / 3
-#: Pixels more than this many times larger than the object's GSD count as so large.
-_LARGEST_SCALE = 12.0
+#: Pixels more than this many times larger than the object's GSD count as so large. Pixels too small for the finest cells count as larger
+#: ones, too: their points' weights would not reach from node to node of the lattice, and the surface would have holes.
+_LARGEST_SCALE, _SMALLEST_SCALE = 12.0, 0.5**FINEST / _LARGEST_CELL
 
 
 @dataclass(frozen=True)
@@ -117,9 +119,11 @@ def combine(views: Sequence[View], cloud: OrientedPoints | None = None) -> tuple
 
 
 def scales_of(views: Sequence[View]) -> list[float]:
-    """Side of each view's pixels in GSD of the object, the median of the views'; 1 if it differs from that by less than a quarter."""
+    """Side of each view's pixels in GSD of the object, the median of the views', within what the lattice can show; 1 if it differs from
+    that by less than a quarter.
+    """
     gsd = float(np.median([view.gsd for view in views])) if views else 1.0
-    sizes = [min(view.gsd / gsd, _LARGEST_SCALE) for view in views]
+    sizes = [float(np.clip(view.gsd / gsd, _SMALLEST_SCALE, _LARGEST_SCALE)) for view in views]
     return [1.0 if 1 / ALIKE <= size <= ALIKE else size for size in sizes]
 
 

@@ -162,12 +162,31 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
         at, triangles, _, _ = measure.marching_cubes(field, 0.0, gradient_direction="descent")
         triangles = triangles[np.isfinite(at).all(1)[triangles].all(1)]
         if len(triangles):
+            if blocks.levels.finest:
+                at = exact_vertices(field, at)
             at, triangles = blocks.levels.divided(cube, field, at, triangles)
             yield _piece(at, triangles, cube, near, blocks, threads)
 
 
+def exact_vertices(field: NDArray[np.float32], at: NDArray[np.float32]) -> Floats:
+    """Vertices of marching cubes (N×3) in double precision. Counted in coarse and in fine cells, the same vertex is rounded differently in
+    single precision, and could get two numbers.
+    """
+    exact = at.astype(np.float64)
+    node = np.floor(exact)
+    fraction = exact - node
+    some = np.flatnonzero((fraction > 0).sum(1) == 1)  # the others lie on a node or inside a cell
+    axis, before = fraction[some].argmax(1), node[some].astype(np.int64)
+    after = before + np.eye(3, dtype=np.int64)[axis]
+    first, last = (field[tuple(nodes.T)].astype(np.float64) for nodes in (before, after))
+    crossed = (first > 0) != (last > 0)
+    some, axis = some[crossed], axis[crossed]
+    exact[some, axis] = node[some, axis] + first[crossed] / (first - last)[crossed]
+    return exact
+
+
 def _piece(
-    at: NDArray[np.float32], triangles: Ints, cube: Cube, points: OrientedPoints, blocks: PointBlocks, threads: int
+    at: NDArray[np.floating], triangles: Ints, cube: Cube, points: OrientedPoints, blocks: PointBlocks, threads: int
 ) -> Piece:
     """The surface in a cube. at: N×3, in the cube's cells. points: those that it was made from."""
     lattice = blocks.lattice

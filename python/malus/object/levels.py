@@ -126,7 +126,9 @@ class Levels:
                     line = field[tuple(at)]
                     line[:] = _between(line[::every], every)
 
-    def divided(self, cube: Cube, field: Singles, at: Singles, triangles: Ints) -> tuple[Singles, Ints]:
+    def divided(
+        self, cube: Cube, field: Singles, at: NDArray[np.floating], triangles: Ints
+    ) -> tuple[NDArray[np.floating], Ints]:
         """Vertices (N×3, in the cube's cells) and triangles, with triangles divided where finer neighbors have vertices on their edges."""
         if not self._of:
             return at, triangles
@@ -135,8 +137,8 @@ class Levels:
         return at, triangles
 
     def _divided_at(
-        self, cube: Cube, field: Singles, at: Singles, triangles: Ints, axis: int, far: bool
-    ) -> tuple[Singles, Ints]:
+        self, cube: Cube, field: Singles, at: NDArray[np.floating], triangles: Ints, axis: int, far: bool
+    ) -> tuple[NDArray[np.floating], Ints]:
         """Divide the triangles that have an edge on one side of the cube."""
         flat = (at[:, axis] == (cube.side if far else 0))[triangles]
         number, corner = np.nonzero(flat & np.roll(flat, -1, 1) & ~flat.all(1)[:, None])

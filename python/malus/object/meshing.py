@@ -66,8 +66,7 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
         raise DataError(f"{len(points.points)} points of the stations agree, expected at least 100")
     middle = points.points.mean(0)  # Relative to the middle, single precision suffices.
     local = (points.points - middle).astype(np.float32)
-    extent = float(np.ptp(local, axis=0).max())
-    cells = 1.1 * extent / (_CELL_GSD * gsd) * 2**halved
+    cells = _cells_across(local, gsd) * 2**halved
     depth = int(np.clip(math.ceil(math.log2(cells)), _LEAST_DEPTH, _MOST_DEPTH))
     cloud, raw = (folder / name for name in _FILES)
     properties = columns("xyz", local, "f4") | columns(("nx", "ny", "nz"), points.normals, "f4")
@@ -104,11 +103,18 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
     finally:
         for name in _FILES:
             (folder / name).unlink(missing_ok=True)
-    if mesh.level is None:
+    # The octree of a large object ends at larger cells.
+    finest = min(halved, max(0, round(_MOST_DEPTH - math.log2(_cells_across(mesh.vertices, gsd)))))
+    if mesh.level is None or finest == 0:
         return closed
     # Cells of Poisson's octree go down to half of the points' spacing.
     nearest = scipy("spatial").cKDTree(mesh.vertices).query(closed.vertices, workers=1)[1]
-    return replace(closed, level=np.minimum(mesh.level[nearest] + 1, halved).astype(np.uint8))
+    return replace(closed, level=np.minimum(mesh.level[nearest] + 1, finest).astype(np.uint8))
+
+
+def _cells_across(points: NDArray[np.floating], gsd: float) -> float:
+    """Side of the octree about the points, in cells of one GSD."""
+    return 1.1 * float(np.ptp(points, axis=0).max()) / (_CELL_GSD * gsd)
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:

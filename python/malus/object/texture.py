@@ -25,8 +25,8 @@ _MARGIN_PX = 4
 #: Most levels of detail, and fewest triangles of a level.
 _MOST_LEVELS = 5
 _LEAST_FACES = 500
-#: Most vertices of a mesh that is searched with one tree in memory.
-_MOST_IN_MEMORY = 4_000_000
+#: Most vertices of a mesh that is searched with one tree in memory; where it is searched for its levels, it has so many parts across.
+_MOST_IN_MEMORY, _PARTS_ACROSS = 4_000_000, 16
 
 
 @dataclass(frozen=True)
@@ -196,10 +196,17 @@ class NearestVertices:
 
 def _levels(full: ObjectMesh, places: Floats) -> NDArray[np.integer]:
     """How often the full mesh's cells were halved at each place (N×3)."""
-    if full.level is None:
-        return np.zeros(len(places), np.uint8)
+    levels = np.zeros(len(places), np.uint8)
+    if full.level is None or not len(places):
+        return levels
     find = NearestVertices(full)
-    return np.concatenate([np.empty(0, np.uint8), *(full.level[find(places[some])] for some in chunks(len(places)))])
+    # Neighboring places come together, so that few vertices of the full mesh are needed at a time.
+    cells = np.floor(places * (_PARTS_ACROSS / max(float(np.ptp(places, axis=0).max()), 1e-300)))
+    order = np.lexsort(cells.T)
+    ends = np.flatnonzero((np.diff(cells[order], axis=0) != 0).any(1)) + 1
+    for some in np.split(order, ends):
+        levels[some] = full.level[find(places[some])]
+    return levels
 
 
 def _atlas(

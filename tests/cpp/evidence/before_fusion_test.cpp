@@ -32,6 +32,7 @@ TEST(PhaseAgreement, WarnsOfAnotherSurface) {
   EXPECT_EQ(found.finding.severity, Severity::warning) << found.finding.text();
   EXPECT_NEAR(found.overall.disagreement, 0.707, 0.06);
   EXPECT_GT(found.unrelated_share, 0.1);
+  EXPECT_NE(found.finding.text().find("state which one as metal in [optics]"), std::string::npos);
 }
 
 TEST(PhaseAgreement, DetectsWrongPolarizerScales) {
