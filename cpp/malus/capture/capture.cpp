@@ -330,6 +330,17 @@ void fill_stack(Exposures& exposures, const CaptureInput& input, const std::vect
   }
 }
 
+/// Linear color of image k, in its own pixels; the encoded image is freed.
+Image<float> linear_color(const CaptureInput& input, std::size_t k, const ResponseCurve& curve,
+                          const CaptureOptions& options, Size size, const Context& context) {
+  const RawImage raw = input.load(k);
+  if (raw.pixels.channels() != 3)
+    throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
+  require_size(raw.pixels, size, input.names[k]);
+  const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
+  return linearize_color(raw, curve, levels, context);
+}
+
 /// Mean over the images (of the shortest exposure) of their linear colors; a second pass over the files, so that memory
 /// holds one color image at a time.
 Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, const CaptureOptions& options, Size size,
@@ -338,13 +349,9 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
   float count = 0;
   for (std::size_t k = 0; k < input.names.size(); ++k) {
     if (exposure_ratio(input.polarized, k) > 1) continue;
-    const RawImage raw = input.load(k);
-    if (raw.pixels.channels() != 3)
-      throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
-    require_size(raw.pixels, mean.size(), input.names[k]);
-    const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
     const ResamplingMap map(input.lens, maps[k]);
-    const Image<float> color = resample(linearize_color(raw, curve, levels, context), mean.size(), map, context).image;
+    const Image<float> color =
+        resample(linear_color(input, k, curve, options, size, context), size, map, context).image;
     for (std::size_t i = 0; i < mean.count(); ++i) mean[i] += color[i];
     count += 1;
   }
@@ -421,7 +428,8 @@ PolarizedStack capture_stack(const CaptureInput& input, const CaptureOptions& op
   stack.angles_rad.clear();
   for (const Group& group : groups) {
     if (!readings.empty()) stack.angles_rad.push_back(readings[group.front()]);
-    stack.image_from_base.push_back(maps[group.front()]);
+    stack.image_from_base.push_back(maps[std::ranges::max(
+        group, {}, [&](std::size_t k) { return affine_distance_px(maps[k], identity_affine(), size); })]);
     double worst = 0;
     for (const std::size_t k : group) worst = std::max(worst, rms_px[k]);
     stack.registration_rms_px.push_back(worst);

@@ -36,7 +36,8 @@ struct PolarizedStack {
   Image<float>
       shared;      ///< for images interpolated from a mosaic: number of pixels that share a measurement; else empty
   Pinhole camera;  ///< of these rasters
-  /// Base pixel → pixel of image k before resampling (2 × 3 affine), identity for the base image.
+  /// Base pixel → pixel of image k before resampling (2 × 3 affine), identity for the base image. Of several exposures,
+  /// the map of the one that moved most.
   std::vector<Affine> image_from_base;
   /// One standard deviation of the displacement left in image k [px] (ImageRegistration::rms_px); 0 if not registered.
   std::vector<double> registration_rms_px;

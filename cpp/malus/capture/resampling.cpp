@@ -2,9 +2,13 @@
 #include <cmath>
 #include <cstddef>
 #include <numeric>
+#include <opencv2/imgproc.hpp>
+#include <vector>
 
 #include "malus/capture/resampling_internal.h"
 #include "malus/capture/spline_internal.h"
+#include "malus/core/opencv_mat_internal.h"
+#include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
 
 namespace malus {
@@ -19,6 +23,7 @@ struct Support {
 
 std::optional<Support> support_at(const Eigen::Vector2d& position, Size size) {
   constexpr int before = spline_support / 2 - 1, after = spline_support / 2;
+  if (std::min(size.width, size.height) < spline_support) return std::nullopt;
   if (!(position.x() >= before && position.y() >= before && position.x() <= size.width - after &&
         position.y() <= size.height - after)) {
     return std::nullopt;
@@ -40,6 +45,29 @@ void spline_values(const Image<float>& coefficients, const Support& support, flo
     }
     values[c] = std::inner_product(wu.begin(), wu.end(), columns, 0.0F);
   }
+}
+
+/// Fills what is not finite with the nearest finite value, so that the spline has no step there; returns where it was.
+Mask filled_holes(Image<float>& image) {
+  Mask holes(image.size());
+  std::transform(image.begin(), image.end(), holes.begin(),
+                 [](float value) -> std::uint8_t { return std::isfinite(value) ? 0 : 255; });
+  const auto count = static_cast<std::size_t>(std::ranges::count(holes, std::uint8_t{255}));
+  if (count == 0) return holes;
+  if (count == image.count()) {
+    image.fill(0);
+    return holes;
+  }
+  const OpenCvThreads one_thread(1);
+  cv::Mat distances, nearest;  // labels of the finite pixels, and of the one nearest to each hole
+  cv::distanceTransform(as_mat(holes), distances, nearest, cv::DIST_L2, cv::DIST_MASK_5, cv::DIST_LABEL_PIXEL);
+  const int* const label = nearest.ptr<int>();
+  std::vector<float> values(image.count() - count + 1);
+  for (std::size_t i = 0; i < image.count(); ++i)
+    if (!holes[i]) values[static_cast<std::size_t>(label[i])] = image[i];
+  for (std::size_t i = 0; i < image.count(); ++i)
+    if (holes[i]) image[i] = values[static_cast<std::size_t>(label[i])];
+  return holes;
 }
 
 }  // namespace
@@ -92,16 +120,7 @@ Mask resample_flags(const Mask& flags, Size size, const ResamplingMap& map, cons
 }
 
 Image<float> undistorted(Image<float> image, const LensCamera& lens, const Context& context) {
-  Mask holes(image.size());
-  float last = 0;  // in place of a hole, so that the spline has no step there
-  for (std::size_t i = 0; i < image.count(); ++i) {
-    if (std::isfinite(image[i])) {
-      last = image[i];
-    } else {
-      image[i] = last;
-      holes[i] = 255;
-    }
-  }
+  const Mask holes = filled_holes(image);
   const ResamplingMap map(lens, identity_affine());
   Image<float> result = resample(std::move(image), lens.size, map, context).image;
   const Mask unknown = resample_flags(holes, lens.size, map, context);

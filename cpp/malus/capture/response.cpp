@@ -269,6 +269,8 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
     bool saturated = false;
     for (int c = 0; c < (color ? 3 : 1); ++c) {
       const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
+      // The object's color needs all channels.
+      if (!std::isfinite(dn)) throw not_finite(u, v);
       if (weight == 0) continue;
       sum += weight * linearizer.linear(dn);
       saturated = saturated || linearizer.saturated(dn);

@@ -16,7 +16,7 @@ namespace malus {
 /// where nothing is left over from the fit, as with three images, nothing changes: fusion weighs noise itself.
 ///
 /// Intensities, residuals and the noise model stay. Neighbors share errors afterwards, and together know as much as
-/// before.
+/// before. Large images are smoothed in strips of rows, which need little memory and change no bit.
 void smooth_polarization(PolarizationState& state, const Context& context);
 
 }  // namespace malus

@@ -87,6 +87,20 @@ TEST(Capture, moved_images_are_registered_unless_registration_is_off) {
   EXPECT_TRUE(capture_stack(input, options, Context{}).images[2] == images[2]);
 }
 
+TEST(Capture, of_several_exposures_the_one_that_moved_most_counts_as_moved) {
+  const Affine map = similarity(stone_size, 0.002, 1, 0.7, -0.4);
+  std::vector<Image<float>> images = series({0, 60, 120});
+  for (const double angle : {0, 60, 120}) {
+    images.push_back(AnalyticScene{0.05}.image(stone_size, map, angle * std::numbers::pi / 180));
+    for (float& value : images.back()) value *= 2;
+  }
+  CaptureInput input = input_of(images, {0, 60, 120, 0, 60, 120});
+  input.polarized.exposure_s = std::vector<double>{0.01, 0.01, 0.01, 0.02, 0.02, 0.02};
+  const PolarizedStack stack = capture_stack(input, {}, two_threads());
+  ASSERT_EQ(stack.image_from_base.size(), 3u);
+  for (const Affine& found : stack.image_from_base) EXPECT_LT(affine_distance_px(found, map, stone_size), 0.1);
+}
+
 TEST(Capture, mask_and_saturation) {
   auto images = aligned_scene();
   images[3](50, 60) = 1;

@@ -134,6 +134,35 @@ TEST(Resampling, holes_do_not_spread_over_an_undistorted_image) {
   const Image<float> holed = undistorted(image, lens, Context{});
   EXPECT_TRUE(std::isnan(holed(30, 20)));
   for (const int u : {10, 25, 36, 50}) EXPECT_NEAR(holed(u, 20), whole(u, 20), 0.02) << u;
+  image.fill(no_value);
+  for (const float value : undistorted(image, lens, Context{})) EXPECT_TRUE(std::isnan(value));
+}
+
+TEST(Resampling, the_rim_of_an_undistorted_depth_map_is_as_without_holes) {
+  const LensCamera lens{LensModel::radial, resampled_size, {80, 29, 21, 0.05, 0}};
+  Image<float> depth = polynomial_image();
+  for (float& value : depth) value += 1000;
+  const Image<float> whole = undistorted(depth, lens, Context{});
+  for_each_pixel(resampled_size, [&](int u, int v) {
+    if (std::hypot(u - 30.3, v - 19.6) > 15) depth(u, v) = no_value;
+  });
+  const Image<float> holed = undistorted(depth, lens, Context{});
+  int known = 0;
+  for (std::size_t i = 0; i < holed.count(); ++i) {
+    if (!std::isfinite(holed[i])) continue;
+    ++known;
+    EXPECT_NEAR(holed[i], whole[i], 0.1);
+  }
+  EXPECT_GT(known, 300);
+}
+
+TEST(Resampling, an_image_narrower_than_the_support_has_no_valid_pixel) {
+  for (const Size size : {Size{3, 9}, Size{9, 3}}) {
+    const ResamplingMap map(std::nullopt, moved_by(size.width == 9 ? 0.5 : 0, size.width == 9 ? 0 : 0.5));
+    const Resampled moved = resample(Image<float>(size, 1, 1.0F), size, map, Context{});
+    EXPECT_EQ(moved.valid, Mask(size));
+    EXPECT_EQ(resample_flags(Mask(size, 1, 255), size, map, Context{}), Mask(size));
+  }
 }
 
 TEST(Resampling, undistortion_and_registration_are_one_map) {

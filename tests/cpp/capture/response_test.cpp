@@ -223,5 +223,15 @@ TEST(Response, bad_channels_and_pixels_are_input_errors) {
       "(1, 0)");
 }
 
+TEST(Linearize, a_channel_that_is_not_used_must_be_finite_too) {
+  RawImage raw = raw_8bit(3, {1, 2, 3, 4, 5, 6});
+  raw.bits = 32;
+  raw.pixels(1, 0, 0) = std::numeric_limits<float>::quiet_NaN();
+  PolarizedSpec spec;
+  spec.channel = ColorChannel::green;
+  expect_error(
+      ErrorCode::input, [&] { linear_of(raw, spec); }, "pixel (1, 0) is not a finite number");
+}
+
 }  // namespace
 }  // namespace malus

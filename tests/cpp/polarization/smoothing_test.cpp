@@ -1,4 +1,5 @@
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <cmath>
 #include <numbers>
@@ -24,7 +25,7 @@ double true_degree(int u) {
 
 /// Six images, each with errors of its own of `errors` standard deviations of the noise, as noise and resampled texture
 /// have them.
-PolarizationState state_with_errors(double errors) {
+PolarizationState state_with_errors(double errors, Size size = smoothed_size) {
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
   const NoiseModel noise{20000, 8, 0, 1};
@@ -32,14 +33,14 @@ PolarizationState state_with_errors(double errors) {
   std::vector<double> angles;
   for (int k = 0; k < 6; ++k) {
     angles.push_back(k * std::numbers::pi / 6);
-    images.emplace_back(smoothed_size);
-    for_each_pixel(smoothed_size, [&](int u, int v) {
+    images.emplace_back(size);
+    for_each_pixel(size, [&](int u, int v) {
       const double intensity = 0.3 * (1 + true_degree(u) * std::cos(2 * (angles.back() - 0.4)));
       images.back()(u, v) =
           static_cast<float>(intensity + errors * std::sqrt(noise.variance(intensity)) * normal(random));
     });
   }
-  return decompose(images, angles, noise, Mask(smoothed_size, 1, 255), Mask(smoothed_size), {}, Context{});
+  return decompose(images, angles, noise, Mask(size, 1, 255), Mask(size), {}, Context{});
 }
 
 /// RMS error of (s1, s2) / s0 in these columns.
@@ -95,6 +96,55 @@ TEST(Smoothing, threads_do_not_change_a_bit) {
   EXPECT_EQ(one.rho, many.rho);
   EXPECT_EQ(one.phi, many.phi);
 }
+
+/// Some rows of a state, as an image of their own.
+PolarizationState rows_of(const PolarizationState& state, int begin, int end) {
+  PolarizationState part = state;
+  const Size size{state.size().width, end - begin};
+  const auto cut = [&](const auto& from, auto& to) {
+    to = std::decay_t<decltype(from)>(size);
+    std::copy(from.row(begin), from.row(begin) + size.area(), to.begin());
+  };
+  cut(state.i_un, part.i_un);
+  cut(state.rho, part.rho);
+  cut(state.phi, part.phi);
+  cut(state.residual, part.residual);
+  cut(state.valid, part.valid);
+  return part;
+}
+
+TEST(Smoothing, the_strips_of_a_large_image_have_no_seams) {
+  PolarizationState whole = state_with_errors(2, {20, 800});
+  for (const int end : {256, 512}) {
+    PolarizationState part = rows_of(whole, end - 100, end + 100);
+    smooth_polarization(part, {});
+    PolarizationState all = whole;
+    smooth_polarization(all, {});
+    for (int v = 20; v < 180; ++v) {
+      EXPECT_EQ(part.rho(10, v), all.rho(10, v + end - 100)) << v;
+      EXPECT_EQ(part.phi(10, v), all.phi(10, v + end - 100)) << v;
+    }
+  }
+}
+
+#ifndef __SANITIZE_ADDRESS__
+long most_kilobytes() {
+  rusage use{};
+  getrusage(RUSAGE_SELF, &use);
+  return use.ru_maxrss;
+}
+
+TEST(Smoothing, a_large_image_needs_little_memory_beside_it) {
+  const Size size{200, 6000};
+  PolarizationState state = rows_of(state_with_errors(2, {200, 50}), 0, 50);
+  for (Image<float>* raster : {&state.i_un, &state.rho, &state.phi, &state.residual})
+    *raster = Image<float>(size, 1, 0.5F);
+  state.valid = Mask(size, 1, 255);
+  const long before = most_kilobytes();
+  smooth_polarization(state, {});
+  EXPECT_LT(most_kilobytes() - before, 10 * static_cast<long>(size.area()) / 1024) << "it has 17 bytes a pixel itself";
+}
+#endif
 
 TEST(Smoothing, three_images_leave_no_residual_to_judge_by) {
   PolarizationState state = state_with_errors(1);
