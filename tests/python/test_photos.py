@@ -202,7 +202,7 @@ def test_interrupted_run_can_be_resumed_and_leaves_no_child(
 def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
     outcome = malus("check", photo_station, cwd=tmp_path)
     assert outcome.code == 0, outcome
-    for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "no [[scale]]", "EXIF"):
+    for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "neither [[scale]] nor", "EXIF"):
         assert words in outcome.out, words
     assert not fake_colmap.exists()
 
