@@ -23,8 +23,9 @@ constexpr float largest_residual = 30;
 
 /// Rows that are smoothed at once, so that a large image needs little memory beside it.
 constexpr int strip_rows = 256;
-/// How many rows away a pixel still counts: the reach of both Gaussians, which end at three standard deviations.
+/// How many rows away a pixel still counts: the reach of both Gaussians, three standard deviations each, rounded up.
 constexpr int reach_px = 3 + 9;
+static_assert(3 * mean_px <= 3 && 3 * variance_px <= 9);
 
 /// Rows [begin, end) are smoothed; they depend on rows [first, last).
 struct Strip {
