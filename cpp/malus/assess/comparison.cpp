@@ -1,4 +1,3 @@
-#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -7,6 +6,7 @@
 
 #include "malus/assess/comparison_internal.h"
 #include "malus/assess/reference_surface_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -102,12 +102,11 @@ SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& cen
 
 /// Least-squares step of the weighted normal equations, without the directions that the data do not determine.
 Vector7 solve_observable(const Matrix7& normal_matrix, const Vector7& right_side, int unknowns) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(normal_matrix.topLeftCorner(unknowns, unknowns));
-  const Eigen::VectorXd& values = eigen.eigenvalues();
-  Eigen::VectorXd along = eigen.eigenvectors().transpose() * right_side.head(unknowns);
+  const auto [values, vectors] = symmetric_eigen(normal_matrix.topLeftCorner(unknowns, unknowns));
+  Eigen::VectorXd along = vectors.transpose() * right_side.head(unknowns);
   for (int i = 0; i < unknowns; ++i) along[i] = values[i] > 1e-7 * values[unknowns - 1] ? along[i] / values[i] : 0;
   Vector7 step = Vector7::Zero();
-  step.head(unknowns) = eigen.eigenvectors() * along;
+  step.head(unknowns) = vectors * along;
   return step;
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <memory>
 
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/robust_spread_internal.h"
@@ -26,7 +27,7 @@ Eigen::VectorXd robust_fit(const Eigen::MatrixXd& rows, const Eigen::VectorXd& v
   Eigen::VectorXd weights = Eigen::VectorXd::Ones(values.size()), solution;
   for (int round = 0; round < 20; ++round) {
     const Eigen::MatrixXd weighted = rows.array().colwise() * weights.array();
-    solution = (weighted.transpose() * rows).ldlt().solve(weighted.transpose() * values);
+    solution = solve_symmetric(weighted.transpose() * rows, weighted.transpose() * values);
     const Eigen::VectorXd residual = values - rows * solution;
     const Eigen::VectorXd magnitude = residual.cwiseAbs();
     std::vector<double> magnitudes(magnitude.begin(), magnitude.end());
@@ -71,7 +72,7 @@ struct LinearFit {
 
 /// Non-negative solution: negative unknowns are set to 0 and the others are solved again.
 Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::VectorXd& rhs) {
-  Eigen::VectorXd solution = normal.ldlt().solve(rhs);
+  Eigen::VectorXd solution = solve_symmetric(normal, rhs);
   std::vector<Eigen::Index> positive;
   for (Eigen::Index i = 0; i < solution.size(); ++i) {
     if (solution[i] > 0) positive.push_back(i);
@@ -79,7 +80,7 @@ Eigen::VectorXd solve_nonnegative(const Eigen::MatrixXd& normal, const Eigen::Ve
   if (static_cast<Eigen::Index>(positive.size()) == solution.size()) return solution;
   solution.setZero();
   if (positive.empty()) return solution;
-  const Eigen::VectorXd part = normal(positive, positive).ldlt().solve(rhs(positive));
+  const Eigen::VectorXd part = solve_symmetric(normal(positive, positive), rhs(positive));
   for (std::size_t i = 0; i < positive.size(); ++i)
     solution[positive[i]] = std::max(part[static_cast<Eigen::Index>(i)], 0.0);
   return solution;

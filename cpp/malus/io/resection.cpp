@@ -1,4 +1,5 @@
-#include <Eigen/Dense>
+#include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,6 +8,7 @@
 #include <sstream>
 
 #include "malus/core/better_fit_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/io/resection_internal.h"
@@ -48,7 +50,7 @@ Eigen::Vector3d extents(const Marked& marked) {
   Eigen::Matrix3Xd matrix(3, static_cast<Eigen::Index>(marked.points.size()));
   for (std::size_t i = 0; i < marked.points.size(); ++i)
     matrix.col(static_cast<Eigen::Index>(i)) << marked.points[i].x, marked.points[i].y, marked.points[i].z;
-  return Eigen::JacobiSVD<Eigen::Matrix3Xd>(matrix).singularValues();
+  return principal_extents(matrix);
 }
 
 /// Least squares on the marks from a start.

@@ -1,11 +1,10 @@
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
 #include <vector>
 
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/lighting/light_internal.h"
@@ -127,13 +126,13 @@ LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& 
     context.check_cancel();
     const NormalEquations equations = normal_equations(samples, weights, context);
     const Eigen::MatrixXd used = equations.topLeftCorner(unknowns, unknowns);
-    const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(used).eigenvalues();
+    const Eigen::VectorXd values = symmetric_eigen(used).values;
     const double condition = values[0] > 0 ? values[unknowns - 1] / values[0] : std::numeric_limits<double>::infinity();
     if (!(condition <= options.max_condition)) {
       light.status = LightStatus::normals_alike;
       return light;
     }
-    light.coefficients.head(unknowns) = used.ldlt().solve(equations.col(4).head(unknowns));
+    light.coefficients.head(unknowns) = solve_symmetric(used, equations.col(4).head(unknowns));
 
     light.rms = find_residuals(samples, weights, light.coefficients, residuals, context);
     light.robust_sigma = reweigh(residuals, options.outlier_scale, weights);

@@ -1,10 +1,10 @@
 #include <Eigen/Geometry>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <sstream>
 
 #include "malus/core/better_fit_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/error.h"
 #include "malus/photogrammetry/control_datum_internal.h"
@@ -30,7 +30,7 @@ Pairs without(const Pairs& pairs, Eigen::Index left_out) {
 bool on_one_line(const Points& points) {
   constexpr double least_width = 1e-3;
   const Points centered = points.colwise() - points.rowwise().mean();
-  const Eigen::Vector3d extents = Eigen::JacobiSVD<Points>(centered).singularValues();
+  const Eigen::Vector3d extents = principal_extents(centered);
   return !(extents[1] > least_width * extents[0]);
 }
 

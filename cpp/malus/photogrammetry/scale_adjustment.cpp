@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "malus/core/degrees_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/photogrammetry/scale_adjustment_internal.h"
 
 namespace malus {
@@ -201,7 +202,7 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
   for (int iteration = 0; iteration < 50 && result.status != AdjustmentStatus::converged; ++iteration) {
     context.check_cancel();
     normal = normal_equations(ends, distances, log_scale);
-    const Eigen::VectorXd step = normal.matrix.ldlt().solve(normal.right);
+    const Eigen::VectorXd step = solve_symmetric(normal.matrix, normal.right);
     log_scale += step[0];
     double moved = std::abs(step[0]);
     for (std::size_t i = 0; i < ends.size(); ++i) {
@@ -217,7 +218,7 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
 
   normal = normal_equations(ends, distances, log_scale);
   const Eigen::Index unknowns = normal.matrix.rows();
-  const Eigen::MatrixXd inverse = normal.matrix.ldlt().solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
+  const Eigen::MatrixXd inverse = solve_symmetric(normal.matrix, Eigen::MatrixXd::Identity(unknowns, unknowns));
   std::size_t observations = static_cast<std::size_t>(determining);
   for (const KnownDistance& known : distances) observations += 2 * (known.a.size() + known.b.size());
   result.redundancy = static_cast<int>(observations) - static_cast<int>(unknowns);

@@ -1,4 +1,3 @@
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <Eigen/QR>
 #include <cmath>
@@ -7,6 +6,7 @@
 #include <sstream>
 
 #include "malus/core/degrees_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
 
@@ -56,7 +56,7 @@ Eigen::MatrixXd covariance_of(const PolarizerFit& fit, const Eigen::MatrixX3d& s
   Eigen::MatrixXd information = fit.image_information;
   information.diagonal() += fit.nominal_weight;
   const Eigen::MatrixXd of_seen = seen.transpose() * information * seen;
-  return seen * of_seen.ldlt().solve(seen.transpose()) + slopes * of_frame * slopes.transpose();
+  return seen * solve_symmetric(of_seen, seen.transpose()) + slopes * of_frame * slopes.transpose();
 }
 
 /// Covariance of the frame (b1, b2, turn) by the nominal values alone.

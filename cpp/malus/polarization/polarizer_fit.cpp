@@ -1,7 +1,4 @@
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-#include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,6 +6,7 @@
 #include <string>
 
 #include "malus/core/degrees_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -240,8 +238,7 @@ class Projection {
 
   /// Orthonormal rows, (K − 3) × K, that span the intensities that no Stokes vector can produce.
   Eigen::MatrixXd complement() const {
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(outside_);
-    return solver.eigenvectors().rightCols(outside_.rows() - 3).transpose();
+    return symmetric_eigen(outside_).vectors.rightCols(outside_.rows() - 3).transpose();
   }
 
  private:
@@ -283,7 +280,7 @@ double minimize(Polarizer& polarizer, const Eigen::MatrixXd& moments, double inf
     while (!accepted && damping < 1e12) {
       Eigen::MatrixXd damped = normal;
       damped.diagonal() += damping * normal.diagonal() + Eigen::VectorXd::Constant(normal.rows(), 1e-9);
-      Polarizer next{polarizer.values + damped.ldlt().solve(right)};
+      Polarizer next{polarizer.values + solve_symmetric(damped, right)};
       const double next_cost = next.values.allFinite() ? total(next) : std::numeric_limits<double>::infinity();
       accepted = next_cost < cost;
       if (accepted) {
@@ -308,8 +305,7 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
     const Eigen::RowVector3d u = space.row(k);
     conditions.row(k) << u[0] * u[0], u[1] * u[1], u[2] * u[2], 2 * u[0] * u[1], 2 * u[0] * u[2], 2 * u[1] * u[2];
   }
-  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(conditions, Eigen::ComputeFullV);
-  const Eigen::VectorXd m = svd.matrixV().col(5);
+  const Eigen::VectorXd m = symmetric_eigen(conditions.transpose() * conditions).vectors.col(0);
   Eigen::Matrix3d cone;
   cone << m[0], m[3], m[4], m[3], m[1], m[5], m[4], m[5], m[2];
   if (cone.determinant() < 0) cone = -cone;  // One positive and two negative eigenvalues: a positive determinant.
@@ -330,8 +326,7 @@ std::vector<Polarizer> start_from_space(const Eigen::MatrixX3d& space) {
 std::vector<Polarizer> starts(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd& moments) {
   if (!free_angles) return {{nominal.values}};
   const Eigen::Index count = moments.rows();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(moments);
-  std::vector<Polarizer> result = start_from_space(solver.eigenvectors().rightCols(3));
+  std::vector<Polarizer> result = start_from_space(symmetric_eigen(moments).vectors.rightCols(3));
   for (Eigen::Index turns = 1; 2 * turns < count; ++turns) {
     Polarizer even{Eigen::VectorXd::Zero(2 * count)};
     for (Eigen::Index k = 0; k < count; ++k) {
@@ -363,11 +358,10 @@ Polarizer search(const Nominal& nominal, bool free_angles, const Eigen::MatrixXd
 /// Pseudo-inverse of a symmetric matrix, without directions whose eigenvalues are at the rounding level of the largest
 /// one.
 Eigen::MatrixXd symmetric_pseudo_inverse(const Eigen::MatrixXd& matrix) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(matrix);
-  const Eigen::VectorXd& values = solver.eigenvalues();
+  const auto [values, vectors] = symmetric_eigen(matrix);
   const double floor = 1e-9 * values.maxCoeff();
   const Eigen::VectorXd inverse = values.unaryExpr([floor](double x) { return x > floor ? 1 / x : 0.0; });
-  return solver.eigenvectors() * inverse.asDiagonal() * solver.eigenvectors().transpose();
+  return vectors * inverse.asDiagonal() * vectors.transpose();
 }
 
 /// How much larger the scatter of the parts' gradients is than noise alone would make it: the factor between the
@@ -428,7 +422,7 @@ Eigen::VectorXd angles_and_gains(const Eigen::MatrixX3d& rows) {
 }
 
 Eigen::Matrix3Xd stokes_of_intensities(const Eigen::MatrixX3d& rows) {
-  return rows.completeOrthogonalDecomposition().pseudoInverse();
+  return symmetric_pseudo_inverse(rows.transpose() * rows) * rows.transpose();
 }
 
 Eigen::MatrixXd residual_projection(const Eigen::MatrixX3d& rows) {
