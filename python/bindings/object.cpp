@@ -166,7 +166,6 @@ Eigen::Array<bool, Eigen::Dynamic, 1> seen_by(const ArrayView& held, const Rows3
 }
 
 void bind_view(py::module_& module) {
-  module.attr("least_cosine") = least_cosine;
   py::class_<ArrayView>(module, "ObjectView")
       .def(py::init(&array_view))
       .def_property_readonly("eye", [](const ArrayView& held) -> Eigen::Vector3d { return held.view.pose.centre(); })

@@ -18,7 +18,6 @@ refined_nowhere: float
 refined_everywhere: float
 least_silhouettes: int
 length_units: dict[str, float]
-least_cosine: float
 finest_level: int
 image_suffixes: list[str]
 raw_suffixes: list[str]

@@ -56,7 +56,7 @@ from malus.object.ply import read_mesh, write_ply
 from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
 from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
-from malus.object.views import LEAST_COSINE, stored
+from malus.object.views import stored
 from malus.pages import template
 from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
 from malus.photogrammetry.bench import Bench
@@ -68,6 +68,8 @@ from view_scale import drawn_mm, pixel_mm, turning_view
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
 SIGMA = 0.05
+#: Views use no places that they see flatter.
+LEAST_COSINE = 0.17
 
 
 def sphere_view(name: str, direction: tuple[float, float, float], offset: float = 0.0, light: float = 1.0) -> View:

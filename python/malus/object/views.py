@@ -22,9 +22,6 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
-#: Rims are not used: places where the cosine of the angle between normal and viewing ray is smaller.
-LEAST_COSINE: float = _core.least_cosine
-
 
 def scipy(module: str) -> ModuleType:
     """A module of scipy; ExternalError if the package is not installed."""
