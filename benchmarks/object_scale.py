@@ -29,6 +29,7 @@ from measuring import ROOT, table
 from PIL import Image
 
 from malus.object import Object, run, texture
+from malus.object.agreement import object_points
 from malus.object.color import Paint
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
@@ -172,13 +173,14 @@ def measure_monument(definition: Path, output: Path, copies: int, threads: int) 
         read = [stored(load_view(path.name, path, thing.max_sigma_gsd), scratch / path.name) for path in workspaces]
         phases = [Phases.of(Workspace(path), scratch / f"{path.name}-phases") for path in workspaces]
         done("stations read", f"{len(read)} of {sum(view.depth.size for view in read) / 1e6:.0f} megapixels")
+        told = telling(read, phases, threads=threads)
         # Copies do not see each other, so that what they become is the same for all.
-        moved = [stored(view, scratch / f"{view.name}-moved") for view in sharpened(read, telling(read, phases))]
+        moved = [stored(view, scratch / f"{view.name}-moved") for view in sharpened(read, told, threads=threads)]
         done("moved to the phases", f"{len(moved)} stations")
         side = 1.05 * max(np.ptp(view.points_at(*np.nonzero(view.usable))[:, 0]) for view in moved)
         views = [copy for view in moved for copy in repeated(view, copies, side)]
         gsd = float(np.median([view.gsd for view in views]))
-        points = run._all_points(views, [], gsd)
+        points = object_points(views, [], threads=threads)
         done("points", f"{len(points.points) / 1e6:.1f} million of {len(views)} stations")
         mesh = joined_mesh(pieces(points, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
         done("mesh", f"{len(mesh.triangles) / 1e6:.1f} million triangles")

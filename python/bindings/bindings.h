@@ -15,6 +15,7 @@ void bind_stereo(pybind11::module_& module);
 void bind_height(pybind11::module_& module);
 void bind_fusion(pybind11::module_& module);
 void bind_surface(pybind11::module_& module);
+void bind_object(pybind11::module_& module);
 void bind_assess(pybind11::module_& module);
 void bind_station(pybind11::module_& module);
 

@@ -73,6 +73,7 @@ PYBIND11_MODULE(_core, module) {
   malus::python::bind_height(module);
   malus::python::bind_fusion(module);
   malus::python::bind_surface(module);
+  malus::python::bind_object(module);
   malus::python::bind_assess(module);
   malus::python::bind_station(module);
 }

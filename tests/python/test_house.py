@@ -17,7 +17,7 @@ from malus.units import METERS
 
 ROOT = Path(__file__).parents[2]
 LONGEST = 80
-MOST_INSTALLED_HEADERS = 37
+MOST_INSTALLED_HEADERS = 40
 
 
 def python_functions(file: Path) -> Iterator[tuple[str, int]]:
@@ -117,6 +117,7 @@ OPENCV_THREADS_OF_OTHERS = {
     "evidence/reduced_view.cpp": "held by prior_alignment.cpp",
     "evidence/smoothing.cpp": "held by prior_alignment.cpp",
     "io/resection.cpp": "few points, on the calling thread",
+    "object/nearest_points.cpp": "a search tree, asked on the context's threads",
     "photogrammetry/model_refinement.cpp": "a search tree, on the calling thread",
     "prior/smoothing_spline.cpp": "held by project_prior.cpp",
 }

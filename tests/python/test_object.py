@@ -49,14 +49,14 @@ from malus.object import (
     unseen_stereo,
 )
 from malus.object import run as object_run
-from malus.object.agreement import joined, without_outliers
+from malus.object.agreement import object_points
 from malus.object.glb import write_levels
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import read_mesh, write_ply
 from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
 from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
-from malus.object.views import LEAST_COSINE, stored
+from malus.object.views import stored
 from malus.pages import template
 from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
 from malus.photogrammetry.bench import Bench
@@ -68,6 +68,8 @@ from view_scale import drawn_mm, pixel_mm, turning_view
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
 SIGMA = 0.05
+#: Views use no places that they see flatter.
+LEAST_COSINE = 0.17
 
 
 def sphere_view(name: str, direction: tuple[float, float, float], offset: float = 0.0, light: float = 1.0) -> View:
@@ -125,40 +127,42 @@ def test_stations_that_agree_give_the_surface_and_say_so(views: list[View]) -> N
     assert figures["rms_ratio"] is not None and figures["rms_ratio"] < 0.1
 
 
-def test_portions_and_files_change_nothing(views: list[View], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large stations are read from files and combined in portions; so are clouds of many points."""
+def joined(parts: list[OrientedPoints]) -> OrientedPoints:
+    """All points of several sets, in their order."""
+    fields = ("points", "normals", "sigma", "stations")
+    together = [np.concatenate([getattr(part, field) for part in parts]) for field in fields]
+    without = all(part.scale is None for part in parts)
+    return OrientedPoints(*together, None if without else np.concatenate([part.scales() for part in parts]))
+
+
+def test_threads_and_files_change_nothing(views: list[View], tmp_path: Path) -> None:
+    """Large stations are read from files."""
     direction = np.random.default_rng(1).normal(size=(20000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     cloud = stereo(RADIUS * direction, direction)
-
-    def surface(views: list[View]) -> OrientedPoints:
-        points, _ = combine(views[:5], cloud)
-        return without_outliers(joined([points, unseen_stereo(cloud, views[:5], points)]), views[0].gsd)
-
-    whole = surface(views)
-    on_disk = [stored(view, tmp_path / view.name) for view in views]
+    whole = object_points(views[:5], [cloud], threads=1)
+    on_disk = [stored(view, tmp_path / view.name) for view in views[:5]]
     assert isinstance(on_disk[0].depth, np.memmap)
-    monkeypatch.setattr("malus.object.arrays.CHUNK", 1000)
-    parts = surface(on_disk)
-    assert (whole.stations == 0).any()
-    order, other = (np.lexsort(found.points.T) for found in (whole, parts))
-    np.testing.assert_array_equal(parts.points[other], whole.points[order])
-    np.testing.assert_array_equal(parts.sigma[other], whole.sigma[order])
+    parts = object_points(on_disk, [cloud], threads=2)
+    assert (whole.stations == 0).any() and (whole.stations > 1).any()
+    for field in ("points", "normals", "sigma", "stations"):
+        np.testing.assert_array_equal(getattr(parts, field), getattr(whole, field))
 
 
-def test_views_rule_out_only_what_they_cannot_see(views: list[View]) -> None:
-    """`may_see` is asked of boxes first; where it says no, no point of the box is in the image."""
-    random = np.random.default_rng(3)
-    answers = []
-    for _ in range(500):
-        middle = random.normal(size=3) * random.uniform(0, 4 * FAR)
-        points = middle + random.uniform(0.1, RADIUS) * random.normal(size=(20, 3))
-        for view in views:
-            answers.append((view.may_see(points), bool(view.placed(points)[0].any())))
-    asked, seen = np.array(answers).T
-    assert not (seen & ~asked).any()
-    assert seen.any() and (~asked).mean() > 0.5
-    assert not views[0].may_see(np.empty((0, 3)))
+def test_maps_in_single_precision_are_not_copied(views: list[View]) -> None:
+    """Those of many stations are mapped files, and do not fit into memory together."""
+    view = replace(views[0], depth=views[0].depth.astype(np.float32))
+    middle = np.array([SIDE // 2])
+    before = view.points_at(middle, middle)
+    view.depth[SIDE // 2, SIDE // 2] += 1
+    assert np.linalg.norm(view.points_at(middle, middle) - before) == pytest.approx(1, abs=1e-4)
+
+
+def test_maps_of_a_view_have_one_size(views: list[View]) -> None:
+    with pytest.raises(InputError, match="s0: sigma is 128 x 127 pixels"):
+        combine([replace(views[0], sigma=views[0].sigma[1:]), *views[1:]])
+    with pytest.raises(InputError, match="s0: pixel is outside the image"):
+        views[0].points_at(np.array([0]), np.array([SIDE]))
 
 
 def test_stations_that_disagree_meet_in_the_middle_by_their_variances() -> None:

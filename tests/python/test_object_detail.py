@@ -24,12 +24,12 @@ from malus.object import (
     textured,
 )
 from malus.object import reference as references
-from malus.object.agreement import joined, scales_of, without_coarser, without_outliers
+from malus.object.agreement import object_points, scales_of
 from malus.object.implicit import _edge_number, exact_vertices
 from malus.object.levels import FINEST, Cube, Levels, _crossings, refined
 from malus.object.meshing import edges_of, face_normals
 from malus.object.reference import Reference
-from malus.object.run import _all_points, _write_mesh, mesh_figures
+from malus.object.run import _write_mesh, mesh_figures
 from malus.object.sharpening import sharpened
 from malus.object.texture import NearestVertices, _levels
 from malus.photogrammetry.program import Colmap
@@ -90,7 +90,7 @@ def near() -> View:
 
 
 def mesh_of(views: list[View], folder: Path) -> ObjectMesh:
-    return joined_mesh(pieces(_all_points(views, [], 1.0), 1.0), folder, 4.0)
+    return joined_mesh(pieces(object_points(views, []), 1.0), folder, 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -193,18 +193,6 @@ def test_a_near_station_at_a_flat_angle_is_not_the_finer_one(near: View) -> None
     far, cosines = FAR[0], np.array([1.0, 0.3, 0.19])
     assert near.finer(cosines, far, np.ones(3)).tolist() == [True, False, False]
     assert not far.finer(np.ones(3), near, np.full(3, 0.2)).any()
-
-
-def test_points_of_far_stations_go_where_a_near_one_sees_the_same_surface(near: View) -> None:
-    # Stations that share a cloud are equally sure, whatever their pixels.
-    points, _ = combine([*FAR, replace(near, sigma=np.full_like(near.sigma, 0.3))])
-    kept = without_coarser(points, 1.0)
-    assert len(kept.points) < len(points.points)
-    x, y, _ = kept.select(kept.scales() == 1).points.T
-    assert np.maximum(np.abs(x), np.abs(y)).min() > 8
-    # The back of something thin is another surface.
-    back = OrientedPoints(np.zeros((1, 3)), np.array([[0.0, 0, -1]]), np.ones(1), np.ones(1))
-    assert len(without_coarser(joined([points, back]), 1.0).points) == len(kept.points) + 1
 
 
 def farther(times: float, sigma: float) -> View:
@@ -397,16 +385,6 @@ def test_an_edge_has_the_vertices_of_its_own_branch() -> None:
     values = refined(corners, 4)
     assert values.shape == (5, 5) and values[2, 2] == pytest.approx(-0.25)
     assert (np.diff(one @ (ends[0][1] - ends[0][0])) > 0).all()
-
-
-def test_outliers_of_fine_points_are_told_at_their_own_pixels(near: View) -> None:
-    points, _ = combine([near])
-    fine_points = replace(points, scale=np.full(len(points.points), 0.25))
-    moved = points.points.copy()
-    moved[::40, 2] += 1.0
-    kept = without_outliers(replace(fine_points, points=moved), 1.0)
-    assert len(kept.points) == pytest.approx(len(moved) - len(moved[::40]), rel=0.01)
-    assert len(without_outliers(replace(points, points=moved), 1.0).points) == len(moved)
 
 
 def test_a_far_station_confirms_detail_that_it_cannot_show() -> None:

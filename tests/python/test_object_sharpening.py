@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from malus.object import View, sharpening
+from malus.object import View
 from malus.object.sharpening import Phases, sharpened, telling
 from test_object import FAR, RADIUS, SIDE, points_of, sphere_view
 
@@ -67,12 +66,3 @@ def test_phases_that_have_nothing_to_do_with_the_surface_move_nothing() -> None:
     for view, other in zip(roughened, after, strict=True):
         assert np.array_equal(other.depth, view.depth, equal_nan=True)
         assert np.array_equal(other.normals, view.normals, equal_nan=True)
-
-
-def test_tiles_meet(monkeypatch: pytest.MonkeyPatch) -> None:
-    roughened, phases = [rough(view) for view in STATIONS], [phases_of(view) for view in STATIONS]
-    whole = next(sharpened(roughened, telling(roughened, phases)))
-    monkeypatch.setattr(sharpening, "_TILE", 48)
-    parts = next(sharpened(roughened, telling(roughened, phases)))
-    usable = whole.usable
-    assert np.abs(whole.depth - parts.depth)[usable].max() < 0.02 * whole.gsd

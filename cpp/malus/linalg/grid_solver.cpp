@@ -1,9 +1,8 @@
 #include <Eigen/IterativeLinearSolvers>
-#include <cmath>
 #include <new>
 #include <string>
-#include <utility>
 
+#include "malus/linalg/conjugate_gradients_internal.h"
 #include "malus/linalg/grid_solver_internal.h"
 #include "malus/linalg/nested_dissection_internal.h"
 
@@ -43,7 +42,6 @@ SolveStatus GridSolver::solve_direct(const SymmetricSolver::Matrix& matrix, cons
   return status;
 }
 
-/// Own loop, because Eigen's cannot be interrupted.
 SolveStatus GridSolver::solve_iteratively(const SymmetricSolver::Matrix& matrix, const Eigen::VectorXd& right,
                                           double reduction, Eigen::VectorXd& x) {
   const auto lower = matrix.selfadjointView<Eigen::Lower>();
@@ -52,28 +50,14 @@ SolveStatus GridSolver::solve_iteratively(const SymmetricSolver::Matrix& matrix,
   summary_.bytes = 12.0 * static_cast<double>(matrix.nonZeros());
   if (x.size() != right.size()) x = Eigen::VectorXd::Zero(right.size());
   const double scale = right.norm() > 0 ? right.norm() : 1;
-  Eigen::VectorXd residual = right - lower * x, direction, product(right.size());
-  const double enough = std::max(tolerance * scale, reduction * residual.norm());
-  double along = 0;
-  for (; residual.norm() > enough; ++summary_.iterations) {
-    context_.check_cancel();
-    summary_.relative_residual = residual.norm() / scale;
-    if (summary_.iterations == most_iterations) return SolveStatus::inaccurate;
-    product = preconditioner.solve(residual);
-    const double along_before = std::exchange(along, residual.dot(product));
-    if (summary_.iterations == 0) {
-      direction = product;
-    } else {
-      direction = product + along / along_before * direction;
-    }
-    product.noalias() = lower * direction;
-    const double curvature = direction.dot(product);
-    if (!(along > 0) || !(curvature > 0)) return SolveStatus::not_positive_definite;
-    x += along / curvature * direction;
-    residual -= along / curvature * product;
-  }
-  summary_.relative_residual = residual.norm() / scale;
-  return SolveStatus::solved;
+  const Eigen::VectorXd residual = right - lower * x;
+  const ConjugateGradients end = conjugate_gradients(
+      [&](const Eigen::VectorXd& direction, Eigen::VectorXd& out) { out.noalias() = lower * direction; },
+      [&](const Eigen::VectorXd& rest, Eigen::VectorXd& out) { out = preconditioner.solve(rest); }, residual,
+      std::max(tolerance * scale, reduction * residual.norm()), most_iterations, context_, x);
+  summary_.iterations = end.iterations;
+  summary_.relative_residual = end.residual / scale;
+  return end.status;
 }
 
 }  // namespace malus

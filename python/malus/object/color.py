@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
-from malus.object.views import LEAST_COSINE, Floats, Singles, View, scipy
+from malus.object.views import Floats, Singles, View, scipy
 
 #: A station does not see places farther than this many GSD in front of or behind its surface.
 _NEAR_GSD = 4.0
@@ -98,14 +98,10 @@ def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequ
     weights = np.zeros((len(views), len(points)))
     colors = np.zeros((len(views), len(points), channels))
     for k, view in enumerate(views):
-        if not view.may_see(points):
-            continue
-        at = view.meet(points)
-        facing = view.facing(points, normals)
-        near = np.abs(at.off(points)) < _NEAR_GSD * view.gsd
-        color = images[k][at.v, at.u]
-        seen = (at.weight > 0) & near & (facing > LEAST_COSINE) & np.isfinite(color).all(1)
-        weights[k] = np.where(seen, facing**2, 0)
+        rows, columns, cosine = view.sights(points, normals, _NEAR_GSD)
+        color = images[k][rows, columns]
+        seen = (cosine > 0) & np.isfinite(color).all(1)
+        weights[k] = np.where(seen, cosine**2, 0)
         # Masked pixels have NaN colors, and NaN times zero weight would make the mean of all stations NaN.
         colors[k] = np.where(seen[:, None], color, 0)
     return weights, colors

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus import _core
 from malus.object.views import Floats
 
 Ints = NDArray[np.int64]
@@ -22,7 +23,7 @@ Singles = NDArray[np.float32]
 Place = tuple[int, int, int]
 
 #: Cells of one GSD are halved so often at most.
-FINEST = 3
+FINEST: int = _core.finest_level
 #: A block is divided into so many parts along each side where points have smaller pixels; each part has cells of its own size.
 _PARTS = 8
 

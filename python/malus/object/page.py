@@ -40,7 +40,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _MOST_DISTANCE_GSD = 2.0
 
 
-def colors_of(shares: NDArray[np.float64]) -> NDArray[np.uint8]:
+def colors_of(shares: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Colors (…×3) of numbers 0 … 1, from blue over white to red; gray for NaN."""
     known = np.isfinite(shares)
     value = np.clip(np.where(known, shares, 0), 0, 1)[..., None]

@@ -231,20 +231,23 @@ def _fuse(
         scratch = Path(temporary)
         say(0.0, "reading the stations")
         views = [
-            stored(load_view(name, folder.parent / "stations" / name, thing.max_sigma_gsd), scratch / "views" / name)
+            stored(
+                load_view(name, folder.parent / "stations" / name, thing.max_sigma_gsd, threads),
+                scratch / "views" / name,
+            )
             for name in (outcome["station"] for outcome in done)
         ]
         gsd = float(np.median([view.gsd for view in views]))
         say(0.1, "combining what stations see")
         # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
-        agreements = agreement.combine(views)[1]
+        agreements = agreement.combine(views, threads=threads)[1]
         phases = [
             Phases.of(Workspace(folder.parent / "stations" / view.name), scratch / "phases" / view.name)
             for view in views
         ]
-        told = telling(views, phases)
-        views = [stored(view, scratch / "sharpened" / view.name) for view in sharpened(views, told)]
-        everything = _all_points(views, _clouds(thing, done, folder.parent), gsd)
+        told = telling(views, phases, threads=threads)
+        views = [stored(view, scratch / "sharpened" / view.name) for view in sharpened(views, told, threads=threads)]
+        everything = agreement.object_points(views, _clouds(thing, done, folder.parent), threads=threads)
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
         if thing.closed:
@@ -280,14 +283,6 @@ def _fuse(
         _require_unchanged(thing, outcomes, frame, folder, key)
     # After the temporary folder is gone: a run that finds the record removes nothing.
     write_record(folder / "quality.json", quality)
-
-
-def _all_points(views: Sequence[View], clouds: Sequence[OrientedPoints], gsd: float) -> OrientedPoints:
-    """Points of the object's surface: means over the stations, and points of stereo where no station measured."""
-    points, _ = agreement.combine(views, agreement.joined(clouds))
-    points = agreement.without_coarser(points, gsd)
-    stereo = [agreement.unseen_stereo(cloud, views, points) for cloud in clouds]
-    return agreement.without_outliers(agreement.joined([points, *stereo]), gsd)
 
 
 def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:

@@ -1,0 +1,76 @@
+#include "malus/object/combine.h"
+
+#include <cmath>
+#include <utility>
+
+#include "malus/core/median_internal.h"
+#include "malus/core/square_internal.h"
+#include "malus/object/oriented_points_internal.h"
+#include "malus/object/point_choice_internal.h"
+#include "malus/object/station_means_internal.h"
+
+namespace malus {
+namespace {
+
+std::vector<double> gsds_of(std::span<const ObjectView> views) {
+  std::vector<double> gsds;
+  for (const ObjectView& view : views) gsds.push_back(view.gsd);
+  return gsds;
+}
+
+}  // namespace
+
+AgreementFigures agreement_figures(std::span<const Agreement> agreements, double gsd) {
+  double ratios2 = 0, distances2 = 0;
+  std::size_t within = 0;
+  std::vector<double> distances;
+  for (const Agreement& agreement : agreements) {
+    for (std::size_t i = 0; i < agreement.distances.size(); ++i) {
+      const double ratio = agreement.distances[i] / agreement.expected[i];
+      ratios2 += square(ratio);
+      within += std::abs(ratio) < 2;
+      distances2 += square(agreement.distances[i]);
+      distances.push_back(std::abs(agreement.distances[i]));
+    }
+  }
+  if (distances.empty()) return {};
+  const auto count = static_cast<double>(distances.size());
+  return {std::sqrt(ratios2 / count), static_cast<double>(within) / count, std::sqrt(distances2 / count) / gsd,
+          percentile_in_place(distances, 0.5) / gsd};
+}
+
+CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context) {
+  context.validate();
+  for (const ObjectView& view : views) view.validate();
+  std::vector<double> gsds = gsds_of(views);
+  const std::vector<double> scales = scales_of(gsds);
+  CombinedViews combined;
+  std::vector<OrientedPoints> parts, doubted;
+  for (std::size_t k = 0; k < views.size(); ++k) {
+    context.progress("object", static_cast<double>(k) / static_cast<double>(views.size()), views[k].name);
+    StationMeans means = station_means(views, k, scales[k], context);
+    parts.push_back(std::move(means.believed));
+    doubted.push_back(std::move(means.doubtful));
+    combined.agreements.push_back(std::move(means.agreement));
+  }
+  if (cloud.size() > 0 && !views.empty()) {
+    const OrientedPoints flat = joined(std::move(doubted));
+    parts.push_back(selected(flat, found_by(cloud, flat, percentile_in_place(gsds, 0.5), context)));
+  }
+  combined.points = joined(std::move(parts));
+  return combined;
+}
+
+OrientedPoints object_points(std::span<const ObjectView> views, std::span<const OrientedPoints> clouds,
+                             const Context& context) {
+  std::vector<double> gsds = gsds_of(views);
+  const double gsd = percentile_in_place(gsds, 0.5);
+  OrientedPoints seen = combine(views, joined({clouds.begin(), clouds.end()}), context).points;
+  seen = without_coarser(std::move(seen), gsd, context);
+  std::vector<OrientedPoints> parts(1);
+  for (const OrientedPoints& cloud : clouds) parts.push_back(unseen_stereo(cloud, views, seen, context));
+  parts[0] = std::move(seen);
+  return without_outliers(joined(std::move(parts)), gsd, context);
+}
+
+}  // namespace malus

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "malus/core/context.h"
+#include "malus/core/field_list.h"
+#include "malus/core/image.h"
+#include "malus/object/view.h"
+
+namespace malus {
+
+/// Points on a surface with its normals, world frame; 42 bytes each (46 with `scale`), as there may be tens of
+/// millions.
+struct OrientedPoints {
+  std::vector<Eigen::Vector3d> points;
+  std::vector<Eigen::Vector3f> normals;
+  std::vector<float> sigma;             ///< one standard deviation along the normal
+  std::vector<std::uint16_t> stations;  ///< how many stations see the place; 0 for points of stereo alone
+  /// Side of the pixels that measured the place, in GSD of the object (the median of its stations'); empty if it is 1
+  /// for all.
+  std::vector<float> scale;
+
+  std::size_t size() const { return points.size(); }
+};
+
+/// Distances of the other stations' surfaces from the surface of one station, along this station's normals.
+struct Agreement {
+  std::string view;
+  Image<float> ratio;  ///< RMS of distance over its stated standard deviation; NaN where no other station measured
+  std::vector<double> distances;  ///< single ones; of a large station only those of every n-th pixel
+  std::vector<double> expected;   ///< their standard deviations
+};
+
+/// Over all places that two stations see; none if there are none.
+struct AgreementFigures {
+  std::optional<double> rms_ratio;         ///< RMS of distance over standard deviation
+  std::optional<double> within_two_sigma;  ///< share
+  std::optional<double> rms_gsd, median_gsd;
+
+  MALUS_FIELDS(rms_ratio, within_two_sigma, rms_gsd, median_gsd)
+};
+
+AgreementFigures agreement_figures(std::span<const Agreement> agreements, double gsd);
+
+struct CombinedViews {
+  OrientedPoints points;
+  std::vector<Agreement> agreements;  ///< one per view
+};
+
+/// The stations' surfaces as one set of points, each the mean of all stations that see it.
+///
+/// A station's weight is the inverse of its usual variance times the cosine of its viewing angle at the place. The
+/// variances stated for single places are not used: they exaggerate the advantage of the frontal view (decision 90).
+/// The standard deviation of a mean is the mean of those stated, not smaller: stations share a prior, so their errors
+/// do not average out. A point is dropped if another station sees the surface behind it, or sees the place better. A
+/// station is not averaged into the detail of one with smaller pixels, nor does its weight count against it. `cloud`:
+/// stereo's points; they support places that one station alone sees at a flat angle and that could be rims.
+CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context);
+
+/// Points of the object's surface, from which any mesher can make a mesh: means over the stations, and points of
+/// stereo's clouds where no station measured, both without outliers and without points beside finer ones.
+OrientedPoints object_points(std::span<const ObjectView> views, std::span<const OrientedPoints> clouds,
+                             const Context& context);
+
+}  // namespace malus

@@ -1,0 +1,206 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "malus/core/parallel_internal.h"
+#include "malus/core/square_internal.h"
+#include "malus/object/oriented_points_internal.h"
+#include "malus/object/station_means_internal.h"
+#include "malus/object/view_lookup_internal.h"
+
+namespace malus {
+namespace {
+
+/// A place that only one station sees may be a rim: it must face the station, or stereo must support it.
+constexpr double least_cosine_alone = 0.5;
+/// A station's point is dropped if another station has a weight there that is larger by more than this factor.
+constexpr double surer = 1.5;
+
+/// The surface of a view in one of its pixels.
+struct Place {
+  std::size_t pixel;
+  Eigen::Vector3d point, normal;
+  double sigma, cosine;
+};
+
+/// Another view, and what is the same in the comparison with it at all places.
+struct OtherView {
+  const ObjectView* view;
+  double inverse_variance;  ///< of its usual sigma
+  double farthest;          ///< surfaces farther apart are not the same
+};
+
+/// Distance of another view's surface from a place, and its standard deviation.
+struct Distance {
+  double apart, expected;
+};
+
+/// The mean of a place over the view that it belongs to and others that are added.
+class PlaceMean {
+ public:
+  PlaceMean(const ObjectView& view, const Place& place)
+      : view_(view), place_(place), own_(place.cosine / square(view.usual_sigma)) {
+    total_ = best_ = own_;
+    cosines_ = place.cosine;
+    stated_ = place.cosine / square(place.sigma);
+    normal_ = own_ * place.normal;
+  }
+
+  /// The distance of the other's surface if it counts for the agreement.
+  std::optional<Distance> add(const OtherView& other) {
+    const auto at = meet(*other.view, place_.point);
+    if (!at) return {};
+    const double parallel = at->normal.dot(place_.normal);
+    const double apart = at->off(place_.point) / std::max(parallel, least_facing);
+    const bool same = parallel > least_facing && facing(*other.view, place_.point, place_.normal) > least_cosine;
+    const bool near = same && std::abs(apart) < other.farthest;
+    // Another station may only exclude a point that it sees at a better angle.
+    if (!near && at->weight > place_.cosine && in_front(*other.view, *at, most_ratio)) contradicted_ = true;
+    if (near) {
+      ++stations_;
+      if (!is_finer(view_, place_.cosine, *other.view, at->weight)) average(*at, apart, other.inverse_variance);
+    }
+    const double spread = std::hypot(place_.sigma, at->sigma);
+    if (!same || !(std::abs(apart) < 3 * most_ratio * spread)) return {};
+    squares_ += square(apart / spread);
+    ++compared_;
+    return Distance{apart, spread};
+  }
+
+  float ratio() const {
+    return compared_ > 0 ? static_cast<float>(std::sqrt(squares_ / compared_))
+                         : std::numeric_limits<float>::quiet_NaN();
+  }
+  /// Whether no other view contradicts the point or sees it better.
+  bool is_kept() const { return !contradicted_ && surer * own_ >= best_; }
+  bool is_believed() const { return stations_ > 1 || place_.cosine > least_cosine_alone; }
+
+  void append_to(OrientedPoints& points) const {
+    points.points.push_back(place_.point + moved_ / total_ * place_.normal);
+    points.normals.push_back(normal_.normalized().cast<float>());
+    points.sigma.push_back(static_cast<float>(std::sqrt(cosines_ / stated_)));
+    points.stations.push_back(stations_);
+  }
+
+ private:
+  void average(const Meeting& at, double apart, double inverse_variance) {
+    const double weight = at.weight * inverse_variance;
+    total_ += weight;
+    moved_ += weight * apart;
+    cosines_ += at.weight;
+    stated_ += at.weight / square(at.sigma);
+    normal_ += weight * at.normal;
+    best_ = std::max(best_, weight);
+  }
+
+  const ObjectView& view_;
+  const Place& place_;
+  double own_, total_, best_, moved_ = 0;  // weights: this view's, of all, largest; sum of weighted moves
+  double cosines_, stated_;                // sums of the viewing angles' cosines, and of these over stated variances
+  Eigen::Vector3d normal_;
+  std::uint16_t stations_ = 1;
+  bool contradicted_ = false;
+  double squares_ = 0;
+  int compared_ = 0;
+};
+
+std::vector<OtherView> others_of(std::span<const ObjectView> views, std::size_t which) {
+  const ObjectView& view = views[which];
+  std::vector<OtherView> others;
+  for (std::size_t k = 0; k < views.size(); ++k) {
+    if (k == which) continue;
+    const ObjectView& other = views[k];
+    // What the other cannot resolve may lie as far from its surface as from that of a view with its pixels.
+    const double pixels = 2 * (resolves_more(view, other) ? other.gsd : view.gsd);
+    const double usual = most_ratio * std::hypot(view.usual_sigma, other.usual_sigma);
+    others.push_back({&other, 1 / square(other.usual_sigma), std::max(usual, pixels)});
+  }
+  return others;
+}
+
+/// The usable pixels of a view with numbers [begin, end).
+std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::size_t end) {
+  const std::size_t width = static_cast<std::size_t>(view.camera.size.width);
+  std::vector<Place> places;
+  for (std::size_t i = begin; i < end; ++i) {
+    if (view.usable[i] == 0) continue;
+    const int u = static_cast<int>(i % width), v = static_cast<int>(i / width);
+    places.push_back({i, point_at(view, u, v), normal_at(view, u, v), view.sigma[i], view.cosine[i]});
+  }
+  return places;
+}
+
+Eigen::AlignedBox3d box_about(const std::vector<Place>& places) {
+  Eigen::AlignedBox3d box;
+  for (const Place& place : places) box.extend(place.point);
+  return box;
+}
+
+/// Single distances are kept at pixels with numbers that are multiples of this.
+std::size_t distance_step(const ObjectView& view) {
+  std::size_t usable = 0;
+  for (std::size_t i = 0; i < view.camera.size.area(); ++i) usable += view.usable[i] != 0;
+  return std::max<std::size_t>(1, usable / most_compared);
+}
+
+/// What StationMeans has, of a block of pixels.
+struct MeansOfBlock {
+  OrientedPoints believed, doubtful;
+  std::vector<Distance> distances;
+
+  void add(const ObjectView& view, const Place& place, const std::vector<OtherView>& others, bool with_distances,
+           float& ratio) {
+    PlaceMean mean(view, place);
+    for (const OtherView& other : others) {
+      const auto distance = mean.add(other);
+      if (distance && with_distances) distances.push_back(*distance);
+    }
+    ratio = mean.ratio();
+    if (mean.is_kept()) mean.append_to(mean.is_believed() ? believed : doubtful);
+  }
+};
+
+OrientedPoints joined_with_scale(std::vector<OrientedPoints> parts, double scale) {
+  OrientedPoints points = joined(std::move(parts));
+  if (scale != 1) points.scale.assign(points.size(), static_cast<float>(scale));
+  return points;
+}
+
+}  // namespace
+
+StationMeans station_means(std::span<const ObjectView> views, std::size_t which, double scale, const Context& context) {
+  const ObjectView& view = views[which];
+  const std::size_t pixels = view.camera.size.area(), every = distance_step(view);
+  const std::vector<OtherView> others = others_of(views, which);
+  StationMeans means;
+  means.agreement.view = view.name;
+  means.agreement.ratio = Image<float>(view.camera.size, 1, no_value);
+  std::vector<MeansOfBlock> blocks((pixels + points_in_a_block - 1) / points_in_a_block);
+  parallel_for(context, pixels, points_in_a_block, [&](std::size_t begin, std::size_t end) {
+    const std::vector<Place> places = places_of(view, begin, end);
+    const Eigen::AlignedBox3d box = box_about(places);
+    std::vector<OtherView> near = others;
+    std::erase_if(near, [&](const OtherView& other) { return !may_see(*other.view, box); });
+    MeansOfBlock& block = blocks[begin / points_in_a_block];
+    for (const Place& place : places) {
+      block.add(view, place, near, place.pixel % every == 0, means.agreement.ratio[place.pixel]);
+    }
+  });
+  std::vector<OrientedPoints> believed, doubtful;
+  for (MeansOfBlock& block : blocks) {
+    believed.push_back(std::move(block.believed));
+    doubtful.push_back(std::move(block.doubtful));
+    for (const auto& [apart, expected] : block.distances) {
+      means.agreement.distances.push_back(apart);
+      means.agreement.expected.push_back(expected);
+    }
+  }
+  means.believed = joined_with_scale(std::move(believed), scale);
+  means.doubtful = joined_with_scale(std::move(doubtful), scale);
+  return means;
+}
+
+}  // namespace malus

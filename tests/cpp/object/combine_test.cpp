@@ -1,0 +1,228 @@
+#include "malus/object/combine.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "malus/core/median_internal.h"
+#include "malus/object/oriented_points_internal.h"
+#include "malus/object/point_choice_internal.h"
+#include "object/views.h"
+
+namespace malus {
+namespace {
+
+using views::plane_station;
+using views::sphere_station;
+using views::Station;
+
+std::vector<ObjectView> views_of(const std::vector<Station>& stations) {
+  std::vector<ObjectView> all;
+  for (const Station& station : stations) all.push_back(station.view());
+  return all;
+}
+
+/// Stations about the sphere along the axes; `count` of the six.
+std::vector<Station> around(int count) {
+  std::vector<Station> stations;
+  for (int k = 0; k < count; ++k) {
+    stations.push_back(sphere_station("s" + std::to_string(k), (k % 2 == 0 ? 1 : -1) * Eigen::Vector3d::Unit(k / 2)));
+  }
+  return stations;
+}
+
+void add_point(OrientedPoints& cloud, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
+  cloud.points.push_back(point);
+  cloud.normals.push_back(normal.cast<float>());
+  cloud.sigma.push_back(0.1f);
+  cloud.stations.push_back(0);
+}
+
+/// Points all over the sphere.
+OrientedPoints sphere_cloud(int count) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  OrientedPoints cloud;
+  for (int k = 0; k < count; ++k) {
+    const Eigen::Vector3d direction = Eigen::Vector3d(normal(random), normal(random), normal(random)).normalized();
+    add_point(cloud, views::radius * direction, direction);
+  }
+  return cloud;
+}
+
+double median_radius(const OrientedPoints& points, int stations) {
+  std::vector<double> radii;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (points.stations[i] == stations) radii.push_back(points.points[i].norm());
+  }
+  return percentile_in_place(radii, 0.5);
+}
+
+// What a C++ program does with the surfaces of its stations (docs/object.md).
+TEST(ObjectPoints, OfStationsInTheRoundLieOnTheSphereForAnyMesher) {
+  const std::vector<Station> stations = around(6);
+  const std::vector<ObjectView> all = views_of(stations);
+  std::vector<PhaseMaps> phases;
+  for (const Station& station : stations) phases.push_back(views::phases_of(station));
+  std::vector<PhasedView> telling;
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    const PhasedView station{all[k], phases[k].cosine, phases[k].sine};
+    if (is_telling(station, {})) telling.push_back(station);
+  }
+  EXPECT_EQ(telling.size(), all.size());
+  std::vector<SharpenedMaps> moved;
+  for (const ObjectView& view : all) moved.push_back(sharpened(view, telling, {}));
+  std::vector<ObjectView> sharp = all;
+  for (std::size_t k = 0; k < sharp.size(); ++k) {
+    sharp[k].depth = moved[k].depth;
+    sharp[k].normals = moved[k].normals;
+  }
+  const OrientedPoints points = object_points(sharp, {}, {});
+  ASSERT_GT(points.size(), 20000u);
+  std::vector<double> off;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    off.push_back(std::abs(points.points[i].norm() - views::radius));
+    EXPECT_GT(points.normals[i].cast<double>().dot(points.points[i].normalized()), 0.99);
+    EXPECT_NEAR(points.sigma[i], views::sphere_sigma, 1e-3);
+  }
+  EXPECT_LT(percentile_in_place(off, 0.95), 0.02);
+}
+
+TEST(Combine, StationsThatAgreeSaySo) {
+  const std::vector<Station> stations = around(6);
+  const CombinedViews combined = combine(views_of(stations), {}, {});
+  const auto shared = std::ranges::count_if(combined.points.stations, [](int seen) { return seen > 1; });
+  EXPECT_GT(shared, static_cast<std::ptrdiff_t>(combined.points.size() / 2));
+  EXPECT_TRUE(combined.points.scale.empty());
+  const AgreementFigures figures = agreement_figures(combined.agreements, stations[0].view().gsd);
+  EXPECT_EQ(figures.within_two_sigma, 1.0);
+  EXPECT_LT(figures.rms_ratio.value(), 0.1);
+  EXPECT_FALSE(agreement_figures({}, 1).rms_ratio.has_value());
+}
+
+TEST(Combine, StationsThatDisagreeMeetInTheMiddle) {
+  const std::vector<Station> stations{sphere_station("a", {1, 0, 0}), sphere_station("b", {1, 0.1, 0}, 0.1)};
+  const CombinedViews combined = combine(views_of(stations), {}, {});
+  // Seen alike and stated alike: the mean; and the stated standard deviation does not shrink.
+  EXPECT_NEAR(median_radius(combined.points, 2), views::radius + 0.05, 0.005);
+  for (const float sigma : combined.points.sigma) EXPECT_NEAR(sigma, views::sphere_sigma, 1e-5);
+  const AgreementFigures figures = agreement_figures(combined.agreements, 0.2);
+  EXPECT_NEAR(figures.rms_ratio.value(), 0.1 / (std::sqrt(2) * views::sphere_sigma), 0.03);
+  EXPECT_NEAR(figures.median_gsd.value(), 0.5, 0.01);
+  const Agreement& first = combined.agreements[0];
+  EXPECT_EQ(first.view, "a");
+  EXPECT_NEAR(first.ratio(64, 64), std::sqrt(2), 0.05);
+  EXPECT_TRUE(std::isnan(first.ratio(0, 0)));
+}
+
+TEST(Combine, WhatAnotherStationSeesThroughIsDropped) {
+  std::vector<Station> stations{sphere_station("front", {1, 0, 0}), sphere_station("side", {1, 0.5, 0})};
+  Station& front = stations[0];
+  // A patch that stands off the sphere; the other station sees the sphere behind it, and under a better angle.
+  for (int v = 60; v < 68; ++v) {
+    for (int u = 88; u < 96; ++u) front.surface.depth(u, v) -= 2;
+  }
+  const OrientedPoints alone = combine(std::vector{front.view()}, {}, {}).points;
+  const OrientedPoints both = combine(views_of(stations), {}, {}).points;
+  const auto off = [](const OrientedPoints& points) {
+    return std::ranges::count_if(points.points, [](const auto& point) { return point.norm() > views::radius + 1; });
+  };
+  EXPECT_GT(off(alone), 40);
+  EXPECT_EQ(off(both), 0);
+}
+
+TEST(Combine, StereoSupportsWhatOneStationSeesFlat) {
+  const std::vector<Station> stations{sphere_station("a", {1, 0, 0})};
+  const std::vector<ObjectView> all = views_of(stations);
+  std::ptrdiff_t steep = 0, flat = 0;
+  for_each_pixel(stations[0].maps.usable, [&](int u, int v) { ++(all[0].cosine(u, v) > 0.5f ? steep : flat); });
+  EXPECT_EQ(std::ssize(combine(all, {}, {}).points.points), steep);
+  EXPECT_GE(std::ssize(combine(all, sphere_cloud(60000), {}).points.points), steep + flat * 99 / 100);
+  EXPECT_EQ(std::ssize(combine(all, sphere_cloud(3), {}).points.points), steep);
+}
+
+TEST(Combine, IsTheSameWithAnyNumberOfThreads) {
+  const std::vector<Station> stations = around(5);
+  const std::vector<OrientedPoints> clouds{sphere_cloud(20000)};
+  Context many;
+  many.threads = 3;
+  const OrientedPoints one = object_points(views_of(stations), clouds, {});
+  const OrientedPoints three = object_points(views_of(stations), clouds, many);
+  EXPECT_EQ(one.points, three.points);
+  EXPECT_EQ(one.normals, three.normals);
+  EXPECT_EQ(one.sigma, three.sigma);
+  EXPECT_EQ(one.stations, three.stations);
+  EXPECT_GT(std::ranges::count(one.stations, 0), 100) << "nobody sees the sphere from below";
+}
+
+TEST(Combine, AFarStationDoesNotBlurANearOne) {
+  const std::vector<Station> stations{plane_station("far", 1, 0, 0, 0.3), plane_station("right", 1, 3.4, 1.7, 0.3),
+                                      plane_station("left", 1, -3.3, 0, 0.3), plane_station("near", 0.25, 0, 0, 0.075)};
+  const std::vector<ObjectView> all = views_of(stations);
+  const OrientedPoints points = combine(all, {}, {}).points;
+  const OrientedPoints alone = combine(std::span(all).last(1), {}, {}).points;
+  ASSERT_EQ(points.scale.size(), points.size());
+  std::vector<std::uint8_t> fine;
+  for (const float scale : points.scale) fine.push_back(scale < 1);
+  const OrientedPoints own = selected(points, fine);
+  EXPECT_EQ(own.points, alone.points);
+  EXPECT_GT(std::ranges::count_if(own.stations, [](int seen) { return seen > 1; }), std::ssize(own.points) * 95 / 100);
+}
+
+TEST(PointChoice, PointsOfFarStationsGoWhereANearOneSeesTheSameSurface) {
+  // Stations that share a cloud are equally sure, whatever their pixels.
+  const std::vector<Station> stations{plane_station("far", 1, 0, 0, 0.3), plane_station("right", 1, 3.4, 1.7, 0.3),
+                                      plane_station("left", 1, -3.3, 0, 0.3), plane_station("near", 0.25, 0, 0, 0.3)};
+  const OrientedPoints points = combine(views_of(stations), {}, {}).points;
+  const OrientedPoints kept = without_coarser(points, 1, {});
+  EXPECT_LT(kept.size(), points.size());
+  for (std::size_t i = 0; i < kept.size(); ++i) {
+    if (kept.scale[i] != 1) continue;
+    EXPECT_GT(kept.points[i].head<2>().lpNorm<Eigen::Infinity>(), 8);
+  }
+  // The back of something thin is another surface.
+  OrientedPoints back;
+  add_point(back, Eigen::Vector3d::Zero(), -Eigen::Vector3d::UnitZ());
+  EXPECT_EQ(without_coarser(joined({points, back}), 1, {}).size(), kept.size() + 1);
+}
+
+TEST(PointChoice, OutliersOfFinePointsAreToldAtTheirOwnPixels) {
+  const Station station = plane_station("near", 0.25, 0, 0, 0.075);
+  OrientedPoints points = combine(std::vector{station.view()}, {}, {}).points;
+  std::size_t moved = 0;
+  for (std::size_t i = 0; i < points.size(); i += 40, ++moved) points.points[i].z() += 1;
+  EXPECT_EQ(without_outliers(points, 1, {}).size(), points.size()) << "within two pixels of the object";
+  points.scale.assign(points.size(), 0.25f);
+  EXPECT_NEAR(static_cast<double>(without_outliers(points, 1, {}).size()), static_cast<double>(points.size() - moved),
+              0.01 * static_cast<double>(points.size()));
+}
+
+TEST(PointChoice, StereoCountsWhereNoStationLooksAndNotOffTheObject) {
+  const std::vector<Station> stations = around(5);
+  const std::vector<ObjectView> all = views_of(stations);
+  OrientedPoints cloud;
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+  add_point(cloud, views::radius * up, up);        // seen
+  add_point(cloud, -views::radius * up, -up);      // below
+  add_point(cloud, 1.3 * views::radius * up, up);  // seen through
+  add_point(cloud, {30, 0, 0}, up);                // beside the object
+  const OrientedPoints kept = unseen_stereo(cloud, all, combine(all, {}, {}).points, {});
+  ASSERT_EQ(kept.size(), 1u);
+  EXPECT_EQ(kept.points[0], cloud.points[1]);
+}
+
+TEST(OrientedPointsOfViews, HaveTheScaleOfTheirPixels) {
+  EXPECT_EQ(scales_of({1, 0.9, 1.12}), (std::vector<double>{1, 1, 1}));
+  const std::vector<double> scales = scales_of({1, 1, 1, 0.6, 40, 0.001});
+  EXPECT_EQ(scales[3], 0.6);
+  EXPECT_EQ(scales[4], 12);
+  EXPECT_EQ(level_of(scales[3]), 1);
+  EXPECT_EQ(level_of(scales[5]), finest_level);
+  EXPECT_EQ(level_of(1), 0);
+}
+
+}  // namespace
+}  // namespace malus
