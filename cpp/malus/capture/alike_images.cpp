@@ -16,7 +16,7 @@ namespace {
 constexpr double other_exposure = 1.5;
 /// Largest RMS residual of the other images from the sinusoid, as a share of their brightness, at which they count as
 /// consistent.
-constexpr double alike = 0.05;
+constexpr double alike_share = 0.05;
 /// Smallest number of other images: three for the sinusoid's unknowns, and one to check that they are consistent.
 constexpr std::size_t least_others = 4;
 /// Squared residuals over squared values up to which images count as computed ones without noise; camera noise is at
@@ -47,7 +47,7 @@ double brightness_beside_others(std::size_t k, const std::vector<double>& means,
   const Eigen::Vector3d stokes = factors.solve(values);
   const double left = (values - rows * stokes).norm() / std::sqrt(others - 3), usual = values.sum() / others;
   const double expected = all.row(left_out) * stokes;
-  return left < alike * usual && expected > alike * usual ? means[k] / expected : 1;
+  return left < alike_share * usual && expected > alike_share * usual ? means[k] / expected : 1;
 }
 
 /// Whether the images are computed ones without noise, of which two may well be equal.

@@ -13,14 +13,14 @@ constexpr double most_samples = 200000;
 constexpr double most_values = 2e7;
 /// Of a small object in a large image, at least this share of the wanted samples is taken, or all of its pixels.
 constexpr double least_on_object = 0.02;
-constexpr float darkest = 0.02F, brightest = 0.9F;
+constexpr float darkest_sample = 0.02F, brightest_sample = 0.9F;
 
 /// Adds a pixel's values to the window's. Returns false if the pixel is off the mask, dark or nearly saturated.
 bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u, int v, Eigen::VectorXd& sum) {
   if (!mask.empty() && mask(u, v) == 0) return false;
   for (std::size_t k = 0; k < images.size(); ++k) {
     const float value = images[k](u, v);
-    if (!(value > darkest && value < brightest)) return false;
+    if (!(value > darkest_sample && value < brightest_sample)) return false;
     sum[static_cast<Eigen::Index>(k)] += value;
   }
   return true;

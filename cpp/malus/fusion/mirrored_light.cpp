@@ -10,7 +10,7 @@ namespace {
 
 /// Standard deviations of the strength about 1, and of the degree of polarization about the model's. Errors of
 /// neighbors are correlated, so that the whole neighborhood counts as one pixel.
-constexpr double strength_sigma = 0.5, misfit = 0.01, sigma_px = mirrored_light_reach_px / 3.0;
+constexpr double strength_sigma = 0.5, misfit = 0.01, mirrored_blur_px = mirrored_light_reach_px / 3.0;
 
 }  // namespace
 
@@ -34,8 +34,8 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
     both(u, v) = static_cast<float>(left.dot(change));
     own(u, v) = static_cast<float>(change.squaredNorm());
   });
-  const Image<float> mean_both = masked_blur(both, field.object, sigma_px, context);
-  const Image<float> mean_own = masked_blur(own, field.object, sigma_px, context);
+  const Image<float> mean_both = masked_blur(both, field.object, mirrored_blur_px, context);
+  const Image<float> mean_own = masked_blur(own, field.object, mirrored_blur_px, context);
   constexpr float prior = static_cast<float>(misfit * misfit / (strength_sigma * strength_sigma));
   parallel_pixels(context, size, [&](int u, int v) {
     if (!field.object(u, v) || field.kind(u, v) != Reflection::diffuse) return;

@@ -12,13 +12,13 @@
 namespace malus {
 namespace {
 
-constexpr std::string_view mark = ".partial-";
+constexpr std::string_view partial_mark = ".partial-";
 
 std::filesystem::path temporary_name(const std::filesystem::path& path) {
   static std::atomic<unsigned> counter{0};
   std::filesystem::path name(".");
   name += path.filename();
-  name += std::string(mark) + std::to_string(::getpid()) + "-" + std::to_string(counter.fetch_add(1));
+  name += std::string(partial_mark) + std::to_string(::getpid()) + "-" + std::to_string(counter.fetch_add(1));
   return path.parent_path() / name;
 }
 
@@ -50,7 +50,7 @@ Error file_error(const std::string& action, const std::filesystem::path& path, i
 
 bool is_unfinished(const std::filesystem::path& path) {
   const std::string name = path.filename().string();
-  return name.starts_with('.') && name.find(mark) != std::string::npos;
+  return name.starts_with('.') && name.find(partial_mark) != std::string::npos;
 }
 
 AtomicFile::AtomicFile(std::filesystem::path path) : path_(std::move(path)), temporary_(temporary_name(path_)) {

@@ -19,7 +19,7 @@ namespace {
 constexpr double most_pixels_per_byte = 512;
 
 // As with PNG, the functions that call setjmp own nothing that needs a destructor.
-struct Reader {
+struct JpegReader {
   jpeg_decompress_struct jpeg{};
   jpeg_error_mgr errors{};
   std::jmp_buf jump{};
@@ -27,13 +27,13 @@ struct Reader {
   std::string_view bytes;
   bool created = false;
 
-  ~Reader() {
+  ~JpegReader() {
     if (created) jpeg_destroy_decompress(&jpeg);
   }
 };
 
 void fail(j_common_ptr jpeg) {
-  auto& reader = *static_cast<Reader*>(jpeg->client_data);
+  auto& reader = *static_cast<JpegReader*>(jpeg->client_data);
   jpeg->err->format_message(jpeg, reader.message);
   std::longjmp(reader.jump, 1);
 }
@@ -48,7 +48,7 @@ void fail_on_warning(j_common_ptr jpeg, int level) {
 
 void print_nothing(j_common_ptr) {}
 
-bool read_header(Reader& reader) {
+bool read_jpeg_header(JpegReader& reader) {
   if (setjmp(reader.jump)) return false;
   jpeg_create_decompress(&reader.jpeg);
   reader.created = true;
@@ -61,7 +61,7 @@ bool read_header(Reader& reader) {
   return true;
 }
 
-bool read_rows(Reader& reader, JSAMPLE* row, Image<float>& pixels) {
+bool read_jpeg_rows(JpegReader& reader, JSAMPLE* row, Image<float>& pixels) {
   if (setjmp(reader.jump)) return false;
   jpeg_start_decompress(&reader.jpeg);
   const std::size_t row_samples =
@@ -75,7 +75,7 @@ bool read_rows(Reader& reader, JSAMPLE* row, Image<float>& pixels) {
   return true;
 }
 
-struct Writer {
+struct JpegWriter {
   jpeg_compress_struct jpeg{};
   jpeg_error_mgr errors{};
   std::jmp_buf jump{};
@@ -84,19 +84,19 @@ struct Writer {
   unsigned long size = 0;
   bool created = false;
 
-  ~Writer() {
+  ~JpegWriter() {
     if (created) jpeg_destroy_compress(&jpeg);
     std::free(bytes);
   }
 };
 
 void fail_writing(j_common_ptr jpeg) {
-  auto& writer = *static_cast<Writer*>(jpeg->client_data);
+  auto& writer = *static_cast<JpegWriter*>(jpeg->client_data);
   jpeg->err->format_message(jpeg, writer.message);
   std::longjmp(writer.jump, 1);
 }
 
-bool write_rows(Writer& writer, const Image<std::uint8_t>& image, int quality) {
+bool write_jpeg_rows(JpegWriter& writer, const Image<std::uint8_t>& image, int quality) {
   if (setjmp(writer.jump)) return false;
   jpeg_create_compress(&writer.jpeg);
   writer.created = true;
@@ -120,14 +120,14 @@ bool write_rows(Writer& writer, const Image<std::uint8_t>& image, int quality) {
 }  // namespace
 
 RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
-  Reader reader;
+  JpegReader reader;
   reader.bytes = bytes;
   reader.jpeg.err = jpeg_std_error(&reader.errors);
   reader.errors.error_exit = fail;
   reader.errors.emit_message = fail_on_warning;
   reader.errors.output_message = print_nothing;
   reader.jpeg.client_data = &reader;
-  if (!read_header(reader)) throw std::runtime_error(reader.message);
+  if (!read_jpeg_header(reader)) throw std::runtime_error(reader.message);
   if (reader.jpeg.num_components != 1 && reader.jpeg.num_components != 3) {
     throw std::runtime_error("has " + std::to_string(reader.jpeg.num_components) + " components, expected gray or RGB");
   }
@@ -137,17 +137,18 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
   check(header);
   RawImage image{Image<float>(header.size, header.channels), 8};
   std::vector<JSAMPLE> row(static_cast<std::size_t>(header.size.width) * static_cast<std::size_t>(header.channels));
-  if (!read_rows(reader, row.data(), image.pixels)) throw std::runtime_error(reader.message);
+  if (!read_jpeg_rows(reader, row.data(), image.pixels)) throw std::runtime_error(reader.message);
   return image;
 }
 
 std::string encode_jpeg(const Image<std::uint8_t>& image, int quality) {
-  Writer writer;
+  JpegWriter writer;
   writer.jpeg.err = jpeg_std_error(&writer.errors);
   writer.errors.error_exit = fail_writing;
   writer.errors.output_message = print_nothing;
   writer.jpeg.client_data = &writer;
-  if (!write_rows(writer, image, quality)) throw resource_error("cannot encode a JPEG: " + std::string(writer.message));
+  if (!write_jpeg_rows(writer, image, quality))
+    throw resource_error("cannot encode a JPEG: " + std::string(writer.message));
   return {reinterpret_cast<const char*>(writer.bytes), writer.size};
 }
 

@@ -13,7 +13,7 @@ namespace {
 
 // libpng reports errors by longjmp, which must not pass over C++ destructors. So the functions that call setjmp own
 // nothing, and callbacks store C++ exceptions here instead of throwing through C frames.
-struct Reader {
+struct PngReader {
   std::string_view bytes;
   std::size_t position = 0;
   png_structp png = nullptr;
@@ -27,24 +27,24 @@ struct Reader {
   LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
 
-  ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }
+  ~PngReader() { png_destroy_read_struct(&png, &info, nullptr); }
 };
 
 void on_read_error(png_structp png, png_const_charp message) {
-  static_cast<Reader*>(png_get_error_ptr(png))->error = message;
+  static_cast<PngReader*>(png_get_error_ptr(png))->error = message;
   std::longjmp(png_jmpbuf(png), 1);
 }
 
 void on_warning(png_structp, png_const_charp) {}
 
 void read_bytes(png_structp png, png_bytep target, png_size_t size) {
-  auto& reader = *static_cast<Reader*>(png_get_io_ptr(png));
+  auto& reader = *static_cast<PngReader*>(png_get_io_ptr(png));
   if (size > reader.bytes.size() - reader.position) png_error(png, "is truncated");
   std::memcpy(target, reader.bytes.data() + reader.position, size);
   reader.position += size;
 }
 
-bool read_header(Reader& reader) {
+bool read_png_header(PngReader& reader) {
   if (setjmp(png_jmpbuf(reader.png))) return false;
   png_set_user_limits(reader.png, 1 << 20, 1 << 20);
   png_set_read_fn(reader.png, &reader, read_bytes);
@@ -74,16 +74,16 @@ bool read_header(Reader& reader) {
   return true;
 }
 
-bool read_rows(Reader& reader) {
+bool read_png_rows(PngReader& reader) {
   if (setjmp(png_jmpbuf(reader.png))) return false;
   png_read_image(reader.png, reader.rows.data());
   png_read_end(reader.png, nullptr);
   return true;
 }
 
-struct Writer {
-  explicit Writer(AtomicFile& target) : file(target) {}
-  ~Writer() { png_destroy_write_struct(&png, &info); }
+struct PngWriter {
+  explicit PngWriter(AtomicFile& target) : file(target) {}
+  ~PngWriter() { png_destroy_write_struct(&png, &info); }
 
   AtomicFile& file;
   png_structp png = nullptr;
@@ -93,12 +93,12 @@ struct Writer {
 };
 
 void on_write_error(png_structp png, png_const_charp message) {
-  static_cast<Writer*>(png_get_error_ptr(png))->error = message;
+  static_cast<PngWriter*>(png_get_error_ptr(png))->error = message;
   std::longjmp(png_jmpbuf(png), 1);
 }
 
 void write_bytes(png_structp png, png_bytep data, png_size_t size) {
-  auto& writer = *static_cast<Writer*>(png_get_io_ptr(png));
+  auto& writer = *static_cast<PngWriter*>(png_get_io_ptr(png));
   try {
     writer.file.write(data, size);
     return;
@@ -110,7 +110,7 @@ void write_bytes(png_structp png, png_bytep data, png_size_t size) {
 
 void flush_nothing(png_structp) {}
 
-bool write_rows(Writer& writer, const png_byte* pixels, Size size, int channels, int bits) {
+bool write_png_rows(PngWriter& writer, const png_byte* pixels, Size size, int channels, int bits) {
   if (setjmp(png_jmpbuf(writer.png))) return false;
   png_set_write_fn(writer.png, &writer, write_bytes, flush_nothing);
   png_set_compression_level(writer.png, 3);
@@ -137,13 +137,13 @@ void to_float(const png_byte* samples, Image<float>& pixels) {
 }  // namespace
 
 RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
-  Reader reader;
+  PngReader reader;
   reader.bytes = bytes;
   reader.alpha = alpha;
   reader.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, &reader, on_read_error, on_warning);
   if (reader.png) reader.info = png_create_info_struct(reader.png);
   if (!reader.info) throw std::bad_alloc();
-  if (!read_header(reader)) throw std::runtime_error(reader.error);
+  if (!read_png_header(reader)) throw std::runtime_error(reader.error);
   const double bits_per_pixel = png_get_bit_depth(reader.png, reader.info);
   reader.header.most_pixels = deflate_ratio * 8 * static_cast<double>(bytes.size()) / bits_per_pixel;
   check(reader.header);
@@ -152,7 +152,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
   reader.samples.resize(reader.row_bytes * height);
   reader.rows.resize(height);
   for (std::size_t v = 0; v < height; ++v) reader.rows[v] = reader.samples.data() + v * reader.row_bytes;
-  if (!read_rows(reader)) throw std::runtime_error(reader.error);
+  if (!read_png_rows(reader)) throw std::runtime_error(reader.error);
 
   RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits};
   if (reader.bits == 16) {
@@ -164,11 +164,11 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
 }
 
 void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits) {
-  Writer writer(file);
+  PngWriter writer(file);
   writer.png = png_create_write_struct(PNG_LIBPNG_VER_STRING, &writer, on_write_error, on_warning);
   if (writer.png) writer.info = png_create_info_struct(writer.png);
   if (!writer.info) throw std::bad_alloc();
-  if (write_rows(writer, static_cast<const png_byte*>(pixels), size, channels, bits)) return;
+  if (write_png_rows(writer, static_cast<const png_byte*>(pixels), size, channels, bits)) return;
   if (writer.failure) std::rethrow_exception(writer.failure);
   throw resource_error("cannot write " + file.path().string() + ": " + writer.error);
 }

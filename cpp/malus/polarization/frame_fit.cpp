@@ -11,7 +11,7 @@ namespace malus {
 namespace {
 
 using std::numbers::pi;
-constexpr int zones = 10, parts_per_side = 8;
+constexpr int zones = 10;
 constexpr double profile_step_rad = 10 * pi / 180;
 /// Smallest noise of s1 / s0 and s2 / s0 assumed for a cell, and the error of a surface's slopes: the flatter the
 /// surface, the less certain its azimuths.

@@ -45,5 +45,7 @@ std::vector<PhaseCell> phase_cells(const PolarizationState& state, const Pinhole
 
 /// Index of the image part that each cell lies in: side × side parts of the bounding box of all cells, row by row.
 std::vector<int> parts_of(const std::vector<PhaseCell>& cells, int side);
+/// Usual number of parts along a side, whose scatter shows how errors of neighboring cells go together.
+inline constexpr int parts_per_side = 8;
 
 }  // namespace malus

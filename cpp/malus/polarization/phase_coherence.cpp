@@ -11,7 +11,6 @@ namespace {
 
 using Complex = std::complex<double>;
 
-constexpr int parts_per_side = 8;
 constexpr double min_ahead = 3, min_ahead_to_contradict = 4, min_coherence = 0.3;
 /// The scatter over fewer parts, as of two or three small islands, is small by chance too often: with two, one ratio in
 /// five exceeds three standard deviations.

@@ -17,7 +17,7 @@
 namespace malus {
 namespace {
 
-constexpr int parts_per_side = 8;
+constexpr int image_parts_per_side = 8;
 constexpr int robust_passes = 2;
 /// Number of cells that an object is divided into, unless cells would exceed the largest size.
 constexpr double wanted_cells = 5000;
@@ -77,7 +77,7 @@ class Cells {
 
   Cells(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask, const Mask& saturated,
         const Context& context)
-      : count_(static_cast<Eigen::Index>(images.size())), parts_(parts_per_side * parts_per_side) {
+      : count_(static_cast<Eigen::Index>(images.size())), parts_(image_parts_per_side * image_parts_per_side) {
     const auto object = static_cast<double>(count_of_set(mask));
     side_ = std::clamp(static_cast<int>(std::sqrt(object / wanted_cells)), least_cell_px, largest_cell_px);
     while (fill(images, noise, mask, saturated, context) < fewest_cells && side_ > 1) side_ /= 2;
@@ -98,7 +98,7 @@ class Cells {
   std::size_t fill(std::span<const Image<float>> images, const NoiseModel& noise, const Mask& mask,
                    const Mask& saturated, const Context& context) {
     size_ = {images[0].width() / side_, images[0].height() / side_};
-    const TiledImage tiles({0, 0, size_.width, size_.height}, parts_per_side, parts_per_side, 0);
+    const TiledImage tiles({0, 0, size_.width, size_.height}, image_parts_per_side, image_parts_per_side, 0);
     parallel_for(context, parts_.size(), 1, [&](std::size_t part, std::size_t) {
       parts_[part] = {};
       for_each_pixel(tiles.box(static_cast<int>(part)), [&](int u, int v) {

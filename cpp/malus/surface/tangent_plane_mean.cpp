@@ -14,9 +14,9 @@ namespace {
 constexpr std::size_t planes = 8;
 
 /// First and last node, relative to the cube's first, that lies within a reach along one axis; clipped to the cube.
-struct Range {
+struct NodeRange {
   int begin, end;
-  Range(double at, double reach, int first, int low, int high)
+  NodeRange(double at, double reach, int first, int low, int high)
       : begin(std::max(low, static_cast<int>(std::ceil(at - reach)) - first)),
         end(std::min(high, static_cast<int>(std::floor(at + reach)) + 1 - first)) {}
 };
@@ -46,9 +46,9 @@ std::vector<float> tangent_plane_mean(const LatticePoints& points, const NodeCub
     for (const std::size_t p : order) {
       const Eigen::Vector3d &at = points.at[p], &normal = points.normals[p];
       const double reach = points.reach[p];
-      const Range i_range(at.x(), reach, nodes.first.x(), static_cast<int>(begin), static_cast<int>(end));
-      const Range j_range(at.y(), reach, nodes.first.y(), 0, nodes.side);
-      const Range k_range(at.z(), reach, nodes.first.z(), 0, nodes.side);
+      const NodeRange i_range(at.x(), reach, nodes.first.x(), static_cast<int>(begin), static_cast<int>(end));
+      const NodeRange j_range(at.y(), reach, nodes.first.y(), 0, nodes.side);
+      const NodeRange k_range(at.z(), reach, nodes.first.z(), 0, nodes.side);
       for (int i = i_range.begin; i < i_range.end; ++i) {
         for (int j = j_range.begin; j < j_range.end; ++j) {
           const double x = nodes.first.x() + i - at.x(), y = nodes.first.y() + j - at.y();

@@ -62,9 +62,9 @@ TEST(Statistics, HistogramOfEqualDistancesAndOfNone) {
   const Histogram alike = distance_histogram(std::vector<double>(20, 0.3), std::nullopt, 0);
   EXPECT_EQ(alike.counts.size(), 1u);
   EXPECT_EQ(counted(alike), 20u);
-  const Histogram none = distance_histogram({}, std::nullopt, 0);
-  EXPECT_GT(none.bin_width, 0);
-  EXPECT_EQ(counted(none), 0u);
+  const Histogram of_none = distance_histogram({}, std::nullopt, 0);
+  EXPECT_GT(of_none.bin_width, 0);
+  EXPECT_EQ(counted(of_none), 0u);
 }
 
 TEST(Statistics, BinCountAndRangeCanBeGiven) {
