@@ -55,7 +55,7 @@ ArrayView array_view(const std::string& name, double gsd, const RasterView& seen
   view.name = name;
   view.camera = seen.camera;
   view.pose = seen.pose;
-  view.gsd = gsd;
+  view.gsd = view.usual_sigma = gsd;
   view.depth = held.keep(std::move(depth));
   view.normals = held.keep(std::move(normals));
   view.sigma = held.keep(std::move(sigma));

@@ -1,6 +1,7 @@
 #include "malus/object/combine.h"
 
 #include <cmath>
+#include <string>
 #include <utility>
 
 #include "malus/core/median_internal.h"
@@ -19,6 +20,18 @@ std::vector<double> gsds_of(std::span<const ObjectView> views) {
 }
 
 }  // namespace
+
+void OrientedPoints::validate() const {
+  const auto require = [&](std::size_t count, const char* values) {
+    if (count == size()) return;
+    throw input_error("oriented points: there are " + std::to_string(size()) + " points, but " + std::to_string(count) +
+                      " values of " + values);
+  };
+  require(normals.size(), "normals");
+  require(sigma.size(), "sigma");
+  require(stations.size(), "stations");
+  if (!scale.empty()) require(scale.size(), "scale");
+}
 
 AgreementFigures agreement_figures(std::span<const Agreement> agreements, double gsd) {
   double ratios2 = 0, distances2 = 0;
@@ -42,6 +55,7 @@ AgreementFigures agreement_figures(std::span<const Agreement> agreements, double
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context) {
   context.validate();
   for (const ObjectView& view : views) view.validate();
+  cloud.validate();
   std::vector<double> gsds = gsds_of(views);
   const std::vector<double> scales = scales_of(gsds);
   CombinedViews combined;
@@ -63,6 +77,8 @@ CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& c
 
 OrientedPoints object_points(std::span<const ObjectView> views, std::span<const OrientedPoints> clouds,
                              const Context& context) {
+  if (views.empty()) throw input_error("points of an object: there is no view");
+  for (const OrientedPoints& cloud : clouds) cloud.validate();
   std::vector<double> gsds = gsds_of(views);
   const double gsd = percentile_in_place(gsds, 0.5);
   OrientedPoints seen = combine(views, joined({clouds.begin(), clouds.end()}), context).points;

@@ -27,6 +27,8 @@ struct OrientedPoints {
   std::vector<float> scale;
 
   std::size_t size() const { return points.size(); }
+  /// Throws an input error unless all have as many values as there are points (or `scale` none).
+  void validate() const;
 };
 
 /// Distances of the other stations' surfaces from the surface of one station, along this station's normals.

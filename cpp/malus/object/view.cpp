@@ -71,6 +71,14 @@ Mask rims(const FusedSurface& surface, const Context& context) {
 }  // namespace
 
 void ObjectView::validate() const {
+  if (!(gsd > 0 && std::isfinite(gsd))) {
+    throw input_error(name + ": its GSD is " + std::to_string(gsd) +
+                      ", expected a positive number; a surface that is "
+                      "known nowhere has none");
+  }
+  if (!(usual_sigma > 0 && std::isfinite(usual_sigma))) {
+    throw input_error(name + ": its usual sigma is " + std::to_string(usual_sigma) + ", expected a positive number");
+  }
   const auto require = [&](Size size, int channels, int expected, const char* raster) {
     if (size == camera.size && channels == expected) return;
     throw input_error(name + ": " + raster + " is " + to_string(size) + " pixels of " + std::to_string(channels) +
@@ -109,8 +117,9 @@ ViewMaps view_maps(const FusedSurface& surface, double most_sigma_gsd, const Con
 }
 
 ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps) {
-  ObjectView view{std::move(name), surface.camera, surface.pose, median_gsd(surface), 0,          surface.depth,
-                  maps.normals,    maps.sigma,     maps.cosine,  maps.usable,         maps.object};
+  const double gsd = median_gsd(surface);
+  ObjectView view{std::move(name), surface.camera, surface.pose, gsd,         gsd,        surface.depth,
+                  maps.normals,    maps.sigma,     maps.cosine,  maps.usable, maps.object};
   view.validate();
   view.usual_sigma = usual_sigma(view);
   return view;

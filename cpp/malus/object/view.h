@@ -50,7 +50,8 @@ struct ObjectView {
   PixelSpan<std::uint8_t> usable;  ///< non-zero where the surface is trusted
   PixelSpan<std::uint8_t> object;  ///< non-zero where the object may be: reconstructed pixels and a rim about them
 
-  /// Throws an input error that names the raster unless all rasters have the camera's size.
+  /// Throws an input error that names the value unless GSD and usual sigma are positive and all rasters have the
+  /// camera's size.
   void validate() const;
 };
 

@@ -11,6 +11,7 @@
 #include "malus/object/oriented_points_internal.h"
 #include "malus/object/point_choice_internal.h"
 #include "object/views.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -101,6 +102,16 @@ TEST(Combine, StationsThatAgreeSaySo) {
   EXPECT_EQ(figures.within_two_sigma, 1.0);
   EXPECT_LT(figures.rms_ratio.value(), 0.1);
   EXPECT_FALSE(agreement_figures({}, 1).rms_ratio.has_value());
+}
+
+TEST(Combine, NamesPointsWithoutNormals) {
+  const std::vector<Station> stations = around(2);
+  OrientedPoints cloud;
+  cloud.points = {{0, 0, 0}};
+  expect_error(
+      ErrorCode::input, [&] { combine(views_of(stations), cloud, {}); }, "1 points, but 0 values of normals");
+  expect_error(
+      ErrorCode::input, [&] { object_points({}, {}, {}); }, "there is no view");
 }
 
 TEST(Combine, StationsThatDisagreeMeetInTheMiddle) {

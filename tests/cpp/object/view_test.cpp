@@ -69,6 +69,13 @@ TEST(ObjectView, NamesARasterOfAnotherSize) {
       ErrorCode::input, [&] { station.view(); }, "front: cosine is 128 x 127 pixels");
 }
 
+TEST(ObjectView, NamesASurfaceThatIsKnownNowhere) {
+  Station station = sphere_station("front", {1, 0, 0});
+  station.surface.depth.fill(no_value);
+  expect_error(
+      ErrorCode::input, [&] { station.view(); }, "front: its GSD is nan");
+}
+
 TEST(ViewLookup, RulesOutOnlyWhatTheCameraCannotSee) {
   std::vector<Station> stations;
   for (const Eigen::Vector3d& axis : {Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, -1, 0), Eigen::Vector3d(0, 1, 2)}) {
