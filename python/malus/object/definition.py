@@ -43,9 +43,8 @@ _FACES = 20000.0
 _LEAST_FACES, _MOST_FACES = 100, 10**9
 #: Formats of the textures in object/levels/. "jpeg": JPEG colors and PNG normals, which every reader of glTF opens.
 _TEXTURE_FORMATS = ("webp", "jpeg")
-#: Expected seconds for the object's surface per megapixel of its stations: 42 for six of .2 megapixels, 174 for six of 1 megapixel,
-#: before the library computed views and points, with which it takes 40 % less processor time (decision 116).
-_SURFACE_SECONDS_PER_MPX = 32.0
+#: Expected seconds for the object's surface per megapixel of its stations: 87 for six of 1 megapixel, 366 for six of 4 (decision 116).
+_SURFACE_SECONDS_PER_MPX = 15.0
 #: Any of these keys of [camera] gives a pose.
 _POSE_KEYS = ("colmap_model", "qvec", "omega_phi_kappa_deg")
 #: Relative difference of two scales of one cloud up to which they are measurements of the same distance: that of scale bars.
