@@ -47,7 +47,7 @@ std::vector<ObjectView> to_views(const ArrayViews& arrays) {
   return views;
 }
 
-ArrayView array_view(const std::string& name, double gsd, const RasterView& seen, Array<float> depth,
+ArrayView array_view(const std::string& name, double gsd, double shared_px, const RasterView& seen, Array<float> depth,
                      Array<float> normals, Array<float> sigma, Array<float> cosine, Array<std::uint8_t> usable,
                      Array<std::uint8_t> object) {
   ArrayView held;
@@ -56,6 +56,7 @@ ArrayView array_view(const std::string& name, double gsd, const RasterView& seen
   view.camera = seen.camera;
   view.pose = seen.pose;
   view.gsd = view.usual_sigma = gsd;
+  view.shared_px = shared_px;
   view.depth = held.keep(std::move(depth));
   view.normals = held.keep(std::move(normals));
   view.sigma = held.keep(std::move(sigma));
@@ -145,12 +146,12 @@ Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> points_at(const ArrayV
 
 /// Row, column and cosine of the places that a view sees; the first pixel and 0 for the others.
 std::tuple<Eigen::VectorXi, Eigen::VectorXi, Eigen::VectorXd> sights(const ArrayView& held, const Rows3& points,
-                                                                     const Rows3& normals, double near_gsd) {
+                                                                     const Rows3& normals) {
   const Eigen::Index count = points.rows();
   Eigen::VectorXi rows = Eigen::VectorXi::Zero(count), columns = rows;
   Eigen::VectorXd cosines = Eigen::VectorXd::Zero(count);
   for (Eigen::Index i = 0; i < count; ++i) {
-    const auto at = sight(held.view, points.row(i), normals.row(i), near_gsd);
+    const auto at = sight(held.view, points.row(i), normals.row(i));
     if (!at) continue;
     rows[i] = at->v;
     columns[i] = at->u;
@@ -161,7 +162,8 @@ std::tuple<Eigen::VectorXi, Eigen::VectorXi, Eigen::VectorXd> sights(const Array
 
 Eigen::Array<bool, Eigen::Dynamic, 1> seen_by(const ArrayView& held, const Rows3& points, const Rows3& normals) {
   Eigen::Array<bool, Eigen::Dynamic, 1> seen(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i) seen[i] = sees(held.view, points.row(i), normals.row(i));
+  for (Eigen::Index i = 0; i < points.rows(); ++i)
+    seen[i] = sight(held.view, points.row(i), normals.row(i)).has_value();
   return seen;
 }
 
@@ -172,6 +174,10 @@ void bind_view(py::module_& module) {
       .def("points_at", &points_at, WithoutGil())
       .def("sights", &sights, WithoutGil())
       .def("sees", &seen_by, WithoutGil())
+      .def("may_see",
+           [](const ArrayView& held, const Eigen::Vector3d& low, const Eigen::Vector3d& high) {
+             return may_see(held.view, Eigen::AlignedBox3d(low, high));
+           })
       .def("resolves_more",
            [](const ArrayView& held, const ArrayView& other) { return resolves_more(held.view, other.view); })
       .def("finer",
@@ -190,8 +196,9 @@ void bind_view(py::module_& module) {
     result["cosine"] = std::move(maps.cosine);
     result["usable"] = std::move(maps.usable);
     result["object"] = std::move(maps.object);
-    return std::pair(median_gsd(surface), result);
+    return result;
   });
+  module.def("median_gsd", &median_gsd);
 }
 
 void bind_points(py::module_& module) {

@@ -56,7 +56,7 @@ from malus.object.ply import read_mesh, write_ply
 from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
 from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
-from malus.object.views import stored
+from malus.object.views import load_view, stored
 from malus.pages import template
 from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
 from malus.photogrammetry.bench import Bench
@@ -64,6 +64,7 @@ from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras, save_cameras
 from malus.photogrammetry.station_pose import StationView
 from malus.reconstruction import expected_times
+from malus.workspace import Workspace
 from view_scale import drawn_mm, pixel_mm, turning_view
 
 RADIUS, FAR, FOCAL, SIDE = 10.0, 60.0, 300.0, 128
@@ -590,6 +591,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(
     assert quality["agreement"]["rms_ratio"] < 0.05
     assert quality["mesh"]["triangles"] > 2500 and not quality["mesh"]["closed"]
     require_statements(output)
+    require_limit(output / "stations/o0")
     assert {"mesh.ply", "mesh.glb", "levels/0.glb", "report/index.html"} <= set(quality["files"])
     assert first.out.startswith("pair: ") and "mm, 2 of 2 stations, " in first.out
     assert not half_written(output)
@@ -612,6 +614,15 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(
     assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
     assert not (output / "object/quality.json").exists()
     require_gone(pair, output)
+
+
+def require_limit(station: Path) -> None:
+    """By default a surface counts if it is as sure as four pixels or as four standard deviations of a point, whichever is more."""
+    view, noise = load_view("o0", station), Workspace(station).manifest["steps"]["prior"]["notes"]["noise"]
+    assert view.most_sigma == pytest.approx(4 * max(view.gsd, noise)) and noise > 0
+    assert view.usable.any() and view.sigma[view.usable].max() < view.most_sigma
+    strict = load_view("o0", station, float(np.median(view.sigma[view.usable])) / view.gsd)
+    assert 0.3 < strict.unsure < 0.7 and strict.usable.sum() < 0.7 * view.usable.sum()
 
 
 def recorded(path: Path, record: dict[str, Any]) -> None:
@@ -691,7 +702,7 @@ def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> 
         assert re.fullmatch(r"pair: [\d.]+ × [\d.]+ × [\d.]+ mm, 2 of 2 stations, one pixel is [\d.]+ µm", size)
         assert "triangles, open; 100.0 % of the surface measured" in mesh
         assert f"  report: malus view {output / 'object'}" in outcome.out
-        assert row.count('<td class="n">') == 6, "numbers stand right"
+        assert row.count('<td class="n">') == 7, "numbers stand right"
         assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
 
 
@@ -1197,7 +1208,10 @@ def test_warnings_of_finding_the_stations_come_once(
 
 def test_stations_that_others_do_not_confirm_are_told() -> None:
     def row(name: str, off: float | None, seen: float = 0.5) -> dict[str, Any]:
-        return {"station": name, "status": "done", "seen_fraction": seen, "agreement": {"rms_ratio": off}}
+        return {
+            "station": name, "status": "done", "seen_fraction": seen, "agreement": {"rms_ratio": off}, "unsure_fraction": 0.3,
+            "max_sigma_gsd": 4.0,
+        }  # fmt: skip
 
     told = doubts_of_stations(
         [row("good", 1.1), row("off", 3.14), row("apart", None), row("unsure", None, 0.0), {"station": "x", "status": "failed"}]
@@ -1206,6 +1220,10 @@ def test_stations_that_others_do_not_confirm_are_told() -> None:
     assert "3.1 standard deviations" in told[0] and "nothing checks its place" in told[1]
     assert "object.max_sigma_gsd" in told[2]
     assert doubts_of_stations([row("alone", None)]) == []
+    (told_of_one,) = doubts_of_stations([row("alone", None) | {"unsure_fraction": 0.42}])
+    assert (
+        "alone: 42 % of its surface is left out" in told_of_one and "above 4 GSD (object.max_sigma_gsd)" in told_of_one
+    )
     # Too far off the others to be taken for the same surface: they count as apart, not as in agreement.
     views = [
         sphere_view("off", (1, 0, 0), offset=3.0),
@@ -1331,14 +1349,26 @@ def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatc
     def cloud() -> OrientedPoints:
         thing = Object.load(pair)
         files = [{"station": path.parent.name, "file": str(path)} for path in thing.campaign.stations]
-        (found,) = object_run._clouds(thing, files, pair.parent)
+        (found,) = object_run._clouds(thing, files, pair.parent, gsd, 1)
         return found
+
+    gsd = 1e9
 
     given = cloud()
     in_stations(pair, scaled_by(20))
     found = cloud()
     np.testing.assert_allclose(found.points, 2 * given.points, rtol=1e-12)
     np.testing.assert_array_equal(found.normals, given.normals)
+    # Their points count as pixels of a size that joins them, whatever the pixels of the images are.
+    assert given.scale is None and found.scale is None
+    gsd = 1e-3
+    sides = [cloud().scale]
+    gsd = 5e-4
+    sides.append(cloud().scale)
+    tree = pytest.importorskip("scipy.spatial").cKDTree(found.points)
+    spacing = np.median(tree.query(found.points, 7)[0][:, -1])
+    np.testing.assert_allclose(sides[0], 0.3 * spacing / 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(sides[1], 2 * sides[0], rtol=1e-6)
 
 
 def test_stations_that_scale_one_cloud_differently_are_refused(pair: Path) -> None:

@@ -25,7 +25,7 @@ from malus.object import (
 )
 from malus.object import reference as references
 from malus.object.agreement import object_points, scales_of
-from malus.object.implicit import _edge_number, exact_vertices
+from malus.object.implicit import _edge_number, exact_vertices, pixel_side
 from malus.object.levels import FINEST, Cube, Levels, _crossings, refined
 from malus.object.meshing import edges_of, face_normals
 from malus.object.reference import Reference
@@ -128,6 +128,31 @@ def test_coarse_and_fine_parts_of_the_mesh_have_no_slit_between_them(fine: Objec
     assert count.max() == 2
     up = face_normals(fine.vertices, fine.triangles)[:, 2]
     assert (up > -1e-9).all()
+
+
+def test_points_of_a_coarse_cloud_join_the_surface_of_the_stations(tmp_path: Path) -> None:
+    """The cloud has a point for 36 pixels, beyond the ground that the stations see, and no hole between them."""
+    x, y = np.meshgrid(np.arange(35.0, 75, 6), np.arange(-30.0, 31, 6))
+    flat = np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3) + np.random.default_rng(0).normal(0, 0.1, (x.size, 3))
+    side = pixel_side(flat, 1)
+    assert 1.5 < side < 3
+    seen = object_points([replace(view, name=f"{view.name}{k}") for k, view in enumerate(FAR)], [])
+    up = np.tile([0.0, 0, 1], (len(flat), 1))
+    parts = (
+        np.concatenate([seen.points, flat]), np.concatenate([seen.normals, up]),
+        np.concatenate([seen.sigma, np.full(len(flat), 0.3)]), np.concatenate([seen.stations, np.zeros(len(flat), int)]),
+    )  # fmt: skip
+    pixels = np.concatenate([np.ones(len(seen.points)), np.full(len(flat), side)])
+    joined, apart = (
+        joined_mesh(pieces(OrientedPoints(*parts, scale), 1.0), tmp_path / name, 4.0)
+        for name, scale in (("joined", pixels), ("apart", None))
+    )
+    area = {name: np.linalg.norm(face_normals(mesh.vertices, mesh.triangles), axis=1).sum() / 2 for name, mesh in
+            (("joined", joined), ("apart", apart))}  # fmt: skip
+    assert inner_borders(joined, right=70.0) == 0
+    assert area["joined"] > 1.05 * area["apart"]
+    far = joined.vertices[:, 0] > 45
+    assert np.abs(joined.vertices[far, 2]).max() < 0.5
 
 
 def test_parts_of_three_finenesses_meet(near: View, tmp_path: Path) -> None:

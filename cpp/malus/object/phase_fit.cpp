@@ -12,8 +12,9 @@
 namespace malus {
 namespace {
 
-/// Standard deviation (GSD) of the second differences of a pixel's move across the surface.
-constexpr double bend_gsd = 0.3;
+/// Standard deviation (GSD) of the second differences of a pixel's move across the surface: that of a slope which changes
+/// by .4 over the length that shares errors, but at most 0.3. Small pixels see less bend (decision 121).
+constexpr double bend_of_shared = 0.4, most_bend_gsd = 0.3;
 /// Standard deviation of the sine between a normal and a phase's plane: a constant for interreflections, and a part
 /// divided by the degree.
 constexpr double turn = 0.08, turn_of_degree = 0.0012;
@@ -135,6 +136,7 @@ void PhaseFit::add_place(int unknown, const Eigen::VectorXd& growth, GridSystem&
 void PhaseFit::add_bend(const std::array<int, 3>& line, const Eigen::VectorXd& growth, GridSystem& system) const {
   if (line[1] < 0 || line[2] < 0) return;
   constexpr std::array<double, 3> second_difference{1, -2, 1};
+  const double bend_gsd = std::min(most_bend_gsd, bend_of_shared / cells_.view().shared_px);
   std::array<double, 3> coefficients;
   double bend = 0;
   for (std::size_t k = 0; k < line.size(); ++k) {

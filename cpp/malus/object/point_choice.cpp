@@ -14,9 +14,9 @@ namespace malus {
 namespace {
 
 /// Stereo supports a place that one station alone sees if at least `witnesses` of the `of_nearest` nearest cloud points
-/// lie within witness_gsd (GSD), and within witness_across_gsd along the normal.
+/// lie within so many of their pixels (OrientedPoints::scale), and within so many along the normal.
 constexpr int witnesses = 2, of_nearest = 6;
-constexpr double witness_gsd = 4.0, witness_across_gsd = 2.0;
+constexpr double witness_pixels = 4.0, witness_across_pixels = 2.0;
 /// A point is an outlier unless at least this share of its nearest `neighbors` points continues its surface.
 constexpr int neighbors = 8;
 constexpr double least_together = 0.6;
@@ -135,9 +135,11 @@ std::vector<std::uint8_t> found_by(const OrientedPoints& cloud, const OrientedPo
   NearestPoints(cloud.points).for_each(points.points, of_nearest, context, [&](std::size_t i, const NearPoints& near) {
     int count = 0;
     for (std::size_t k = 0; k < near.which.size(); ++k) {
-      const Offset to = offset(points, i, cloud, static_cast<std::size_t>(near.which[k]));
-      count += to.parallel > least_facing && std::sqrt(near.distances2[k]) < witness_gsd * gsd &&
-               std::abs(to.across) < witness_across_gsd * gsd;
+      const auto which = static_cast<std::size_t>(near.which[k]);
+      const Offset to = offset(points, i, cloud, which);
+      const double pixel = gsd * scale_of(cloud, which);
+      count += to.parallel > least_facing && std::sqrt(near.distances2[k]) < witness_pixels * pixel &&
+               std::abs(to.across) < witness_across_pixels * pixel;
     }
     found[i] = count >= witnesses;
   });

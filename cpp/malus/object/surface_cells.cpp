@@ -6,7 +6,8 @@
 namespace malus {
 namespace {
 
-/// Standard deviations (GSD) of a pixel's move across the surface: the surface's own one, clipped to these.
+/// Standard deviations (GSD) of a pixel's move across the surface: the surface's own one, clipped to these, before it
+/// is multiplied by the length over which errors are shared.
 constexpr double least_place_gsd = 0.2, most_place_gsd = 1.0;
 /// Pixels farther apart in depth (GSD) do not belong to one surface.
 constexpr double most_cell_step_gsd = 6.0;
@@ -42,7 +43,7 @@ SurfaceCells::SurfaceCells(const ObjectView& view, const PixelRect& window) : vi
     const int u = window.u0 + pixels_.u(i), v = window.v0 + pixels_.v(i);
     begins_cell_.push_back(begins(pixels_.u(i), pixels_.v(i)));
     from_eye_.push_back(from_eye(view, u, v));
-    sigma_.push_back(std::clamp(view.sigma(u, v) / view.gsd, least_place_gsd, most_place_gsd));
+    sigma_.push_back(view.shared_px * std::clamp(view.sigma(u, v) / view.gsd, least_place_gsd, most_place_gsd));
     across_.push_back(from_eye_.back().norm() * view.cosine(u, v) / view.gsd);
   }
 }

@@ -79,6 +79,10 @@ void ObjectView::validate() const {
   if (!(usual_sigma > 0 && std::isfinite(usual_sigma))) {
     throw input_error(name + ": its usual sigma is " + std::to_string(usual_sigma) + ", expected a positive number");
   }
+  if (!(shared_px >= 1 && std::isfinite(shared_px))) {
+    throw input_error(name + ": its errors are alike over " + std::to_string(shared_px) +
+                      " pixels (shared_px), expected a number of at least 1");
+  }
   const auto require = [&](Size size, int channels, int expected, const char* raster) {
     if (size == camera.size && channels == expected) return;
     throw input_error(name + ": " + raster + " is " + to_string(size) + " pixels of " + std::to_string(channels) +
@@ -117,9 +121,17 @@ ViewMaps view_maps(const FusedSurface& surface, double most_sigma_gsd, const Con
 }
 
 ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps) {
-  const double gsd = median_gsd(surface);
-  ObjectView view{std::move(name), surface.camera, surface.pose, gsd,         gsd,        surface.depth,
-                  maps.normals,    maps.sigma,     maps.cosine,  maps.usable, maps.object};
+  ObjectView view;
+  view.name = std::move(name);
+  view.camera = surface.camera;
+  view.pose = surface.pose;
+  view.gsd = view.usual_sigma = median_gsd(surface);
+  view.depth = surface.depth;
+  view.normals = maps.normals;
+  view.sigma = maps.sigma;
+  view.cosine = maps.cosine;
+  view.usable = maps.usable;
+  view.object = maps.object;
   view.validate();
   view.usual_sigma = usual_sigma(view);
   return view;

@@ -43,6 +43,7 @@ struct ObjectView {
   Pose pose;               ///< cam_from_world; all views of an object have one world
   double gsd = 0;          ///< side of a pixel on the surface, median
   double usual_sigma = 0;  ///< median of `sigma` where usable; the GSD if no pixel is
+  double shared_px = 1;    ///< errors of depth are alike over about so many pixels: the resolution of the prior
   PixelSpan<float> depth;
   PixelSpan<float> normals;        ///< 3 channels, unit, world frame
   PixelSpan<float> sigma;          ///< one standard deviation along the normal
@@ -50,8 +51,8 @@ struct ObjectView {
   PixelSpan<std::uint8_t> usable;  ///< non-zero where the surface is trusted
   PixelSpan<std::uint8_t> object;  ///< non-zero where the object may be: reconstructed pixels and a rim about them
 
-  /// Throws an input error that names the value unless GSD and usual sigma are positive and all rasters have the
-  /// camera's size.
+  /// Throws an input error that names the value unless GSD and usual sigma are positive, shared_px is at least 1 and
+  /// all rasters have the camera's size.
   void validate() const;
 };
 

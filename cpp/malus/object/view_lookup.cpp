@@ -7,7 +7,7 @@
 namespace malus {
 namespace {
 
-/// A view sees a place within so many standard deviations of its surface.
+/// A view sees a place within so many standard deviations of its surface, or so many pixels if that is more.
 constexpr double most_off = 4;
 
 struct PixelOfPoint {
@@ -22,11 +22,6 @@ std::optional<PixelOfPoint> pixel_of(const ObjectView& view, const Eigen::Vector
       at.z() > 0 && at.x() > -0.5 && at.y() > -0.5 && at.x() < size.width - 0.5 && at.y() < size.height - 0.5;
   if (!inside) return {};
   return PixelOfPoint{static_cast<int>(std::rint(at.x())), static_cast<int>(std::rint(at.y())), at.z()};
-}
-
-/// The meeting with a surface that faces the view at this place.
-std::optional<Meeting> faced(const ObjectView& view, const Eigen::Vector3d& point, double cosine) {
-  return cosine > least_cosine ? meet(view, point) : std::nullopt;
 }
 
 }  // namespace
@@ -92,17 +87,12 @@ bool is_finer(const ObjectView& view, double cosine, const ObjectView& other, do
   return resolves_more(view, other) && other.gsd * cosine > alike * view.gsd * other_cosine;
 }
 
-std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
-                           double near_gsd) {
+std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
   const double cosine = facing(view, point, normal);
-  const auto at = faced(view, point, cosine);
-  if (!at || !(std::abs(at->off(point)) < near_gsd * view.gsd)) return {};
+  if (!(cosine > least_cosine)) return {};
+  const auto at = meet(view, point);
+  if (!at || !(std::abs(at->off(point)) < most_off * std::hypot(at->sigma, view.gsd))) return {};
   return Sight{at->u, at->v, cosine};
-}
-
-bool sees(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
-  const auto at = faced(view, point, facing(view, point, normal));
-  return at && std::abs(at->off(point)) < most_off * std::hypot(at->sigma, view.gsd);
 }
 
 Eigen::AlignedBox3d box_of(std::span<const Eigen::Vector3d> points) {

@@ -65,11 +65,8 @@ struct Sight {
   double cosine = 0;  ///< of the angle under which it sees the place
 };
 
-/// Where a view sees a place with this normal that lies at most near_gsd GSD from its own surface.
-std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal,
-                           double near_gsd);
-/// Whether a view has measured a place with this normal: within four standard deviations.
-bool sees(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal);
+/// Where a view has measured a place with this normal: its surface is at most four standard deviations away.
+std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal);
 
 /// Box about some points.
 Eigen::AlignedBox3d box_of(std::span<const Eigen::Vector3d> points);

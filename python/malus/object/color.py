@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from malus.chart import srgb_bytes
 from malus.object.arrays import chunks
-from malus.object.views import Floats, Singles, View, scipy
+from malus.object.views import Floats, Singles, View, may_see, scipy
 
-#: A station does not see places farther than this many GSD in front of or behind its surface.
-_NEAR_GSD = 4.0
 _WHITE_PERCENTILE = 99.5
 #: Most places, about, from which the gains and white are estimated.
 _SAMPLE = 200000
@@ -57,7 +55,8 @@ class Paint:
         pictures = [view.color for view in views] if images is None else images
         every = max(1, len(points) // _SAMPLE)
         some = slice(None, None, every)
-        weights, colors = _sights(points[some], normals[some], views, pictures)
+        channels = max(image.shape[2] for image in pictures)
+        weights, colors = _sights(points[some], normals[some], views, pictures, channels)
         gains = np.exp(_log_gains(weights, colors))
         mean = _mean(_of_finest(weights, views), colors * gains[:, None, None])
         seen = np.isfinite(mean).all(1)
@@ -77,8 +76,7 @@ class Paint:
         """
         parts = [np.empty((0, len(self.missing)))]
         for rows in chunks(len(points)):
-            weights, colors = _sights(points[rows], normals[rows], self.views, self.images)
-            parts.append(_mean(_of_finest(weights, self.views), colors * self.gains[:, None, None]))
+            parts.append(self._blended(points[rows], normals[rows]))
         color = np.concatenate(parts)
         unseen = np.flatnonzero(~np.isfinite(color).all(axis=1))
         if self.lent is not None and len(unseen):
@@ -87,18 +85,28 @@ class Paint:
         color = np.where(known[:, None], color, self.missing) / self.white
         return np.asarray(np.repeat(color, 3, axis=1) if color.shape[1] == 1 else color)
 
+    def _blended(self, points: Floats, normals: Floats) -> Floats:
+        """Color (N×C) as the stations that see a place show it, NaN where none does."""
+        near = may_see(self.views, points)
+        if not near:
+            return np.full((len(points), len(self.missing)), np.nan)
+        views, images = [self.views[k] for k in near], [self.images[k] for k in near]
+        weights, colors = _sights(points, normals, views, images, len(self.missing))
+        return _mean(_of_finest(weights, views), colors * self.gains[near, None, None])
+
     def srgb(self, points: Floats, normals: Floats) -> NDArray[np.uint8]:
         """8-bit sRGB (N×3) of places."""
         return srgb_bytes(self.linear(points, normals))
 
 
-def _sights(points: Floats, normals: Floats, views: Sequence[View], images: Sequence[Singles]) -> tuple[Floats, Floats]:
-    """Weight (V×N) and linear color (V×N×C) of places in each view."""
-    channels = max(image.shape[2] for image in images)
+def _sights(
+    points: Floats, normals: Floats, views: Sequence[View], images: Sequence[Singles], channels: int
+) -> tuple[Floats, Floats]:
+    """Weight (V×N) and linear color (V×N×C) of places in each view; a gray image has the same value in all channels."""
     weights = np.zeros((len(views), len(points)))
     colors = np.zeros((len(views), len(points), channels))
     for k, view in enumerate(views):
-        rows, columns, cosine = view.sights(points, normals, _NEAR_GSD)
+        rows, columns, cosine = view.sights(points, normals)
         color = images[k][rows, columns]
         seen = (cosine > 0) & np.isfinite(color).all(1)
         weights[k] = np.where(seen, cosine**2, 0)

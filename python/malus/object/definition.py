@@ -60,7 +60,8 @@ class Object:
     """Stations about one object, in one frame and unit.
 
     closed: the mesh has no holes; areas that no station sees are guessed and marked. Otherwise these areas stay open, and so do areas
-    whose standard deviation exceeds max_sigma_gsd GSD. faces: most triangles, about, of the textured mesh (object/mesh.glb).
+    whose standard deviation exceeds max_sigma_gsd GSD (None: four GSD, or four times that of a point of the stations' priors if this is
+    more). faces: most triangles, about, of the textured mesh (object/mesh.glb).
     texture_format: of the textures in object/levels/, "webp" or "jpeg" (JPEG colors and PNG normals). reference: a scan to compare the
     mesh with; register: the scan is in another frame and is first registered to the mesh. turntable: the object turned while its
     surroundings stood still. It is then found by what lies inside the masks of photos and stations, and these masks show all of it.
@@ -69,7 +70,7 @@ class Object:
     campaign: Campaign
     unit: str
     closed: bool = False
-    max_sigma_gsd: float = 4.0
+    max_sigma_gsd: float | None = None
     faces: int = int(_FACES)
     reference: Path | None = None
     register: bool = True
@@ -102,8 +103,9 @@ class Object:
         def value(key: str, default: Any) -> Any:
             return value_of(file, "object", table, key, default)
 
-        limit, faces = value("max_sigma_gsd", 4.0), value("faces", _FACES)
-        if not limit > 0:
+        limit = value("max_sigma_gsd", 4.0) if "max_sigma_gsd" in table else None
+        faces = value("faces", _FACES)
+        if limit is not None and not limit > 0:
             raise InputError(f"{file}: object.max_sigma_gsd = {limit:g}, expected more than 0")
         if not _LEAST_FACES <= faces <= _MOST_FACES:
             raise InputError(f"{file}: object.faces = {faces:g}, expected {_LEAST_FACES} to {_MOST_FACES}")

@@ -22,7 +22,7 @@ from malus.errors import DataError
 from malus.object.agreement import OrientedPoints
 from malus.object.arrays import chunks
 from malus.object.joining import Piece
-from malus.object.levels import FINEST, Cube, Levels
+from malus.object.levels import FINEST, Cube, Levels, Place
 from malus.object.meshing import ObjectMesh
 from malus.object.views import Floats, scipy, unit
 from malus.threads import ALL_CORES
@@ -36,6 +36,8 @@ BLOCK_CELLS = 128
 _REACH_CELLS = 4.0
 _REACH_SPACINGS = 1.8
 _SPACING_NEIGHBOR = 6
+#: The usual spacing of a cloud is measured at so many points, about.
+_SAMPLE = 100_000
 #: Largest radius of a weight function (cells): holes wider than this stay open.
 MOST_REACH_CELLS = 6.0
 #: Nodes with a smaller sum of weights are too far from the points to have a distance.
@@ -89,6 +91,11 @@ class PointBlocks:
             tuple(part): range(*ends_) for part, *ends_ in zip(parts.tolist(), starts.tolist(), ends, strict=True)
         }
         self.blocks = np.unique(parts * self._side // BLOCK_CELLS, axis=0)
+        #: Side of each part's largest pixels, in GSD; 1 if all are that small.
+        self._coarsest = {
+            at: float(self.points.scale[rows.start : rows.stop].max()) if self.points.scale is not None else 1.0
+            for at, rows in self._where.items()
+        }
 
     def to_march(self) -> list[Cube]:
         """The cubes of all blocks that the surface may enter: those with points, and their neighbors. x never decreases."""
@@ -97,14 +104,21 @@ class PointBlocks:
         return self.levels.cubes((i, j, k) for i, j, k in found.tolist())
 
     def around(self, cube: Cube) -> OrientedPoints:
-        """The points in a cube and in the margin about it."""
-        low, high = cube.low - self.lattice.beside, cube.low + cube.size + self.lattice.beside
-        first, last = (np.floor(end / self._side).astype(np.int64).tolist() for end in (low, high))
-        beside = itertools.product(*(range(a, b + 1) for a, b in zip(first, last, strict=True)))
-        parts = [np.arange(r.start, r.stop) for r in (self._where.get(at) for at in beside) if r is not None]
-        some = np.concatenate([np.empty(0, np.int64), *parts])
+        """The points in a cube and in the margin about it, which is as wide as its largest pixels need."""
+        coarsest = max((self._coarsest[at] for at in self._parts(cube, self.lattice.beside)), default=1.0)
+        beside = min(self.lattice.beside, _BESIDE_CELLS * max(1.0, coarsest))
+        low, high = cube.low - beside, cube.low + cube.size + beside
+        rows = [np.arange(r.start, r.stop) for r in (self._where[at] for at in self._parts(cube, beside))]
+        some = np.concatenate([np.empty(0, np.int64), *rows])
         at = self.lattice.indices(self.points.points[some])
         return self.points.select(some[((at >= low) & (at <= high)).all(1)])
+
+    def _parts(self, cube: Cube, beside: float) -> list[Place]:
+        """The parts with points in a cube or in a margin about it."""
+        low, high = cube.low - beside, cube.low + cube.size + beside
+        first, last = (np.floor(end / self._side).astype(np.int64).tolist() for end in (low, high))
+        x, y, z = (range(a, b + 1) for a, b in zip(first, last, strict=True))
+        return [at for at in itertools.product(x, y, z) if at in self._where]
 
 
 def reach_of(points: OrientedPoints, cell: float, threads: int) -> Floats:
@@ -115,6 +129,18 @@ def reach_of(points: OrientedPoints, cell: float, threads: int) -> Floats:
     tree = scipy("spatial").cKDTree(points.points)
     spacing = tree.query(points.points, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
     return np.asarray(np.clip(_REACH_SPACINGS * spacing, _REACH_CELLS * side, MOST_REACH_CELLS * side))
+
+
+def pixel_side(points: Floats, threads: int) -> float:
+    """Side of pixels that the points (N×3) of a cloud can count as: with it, the longest reach of a point is what points with this usual
+    distance (median) from their sixth neighbor need.
+    """
+    if len(points) <= _SPACING_NEIGHBOR:
+        return 0.0
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    tree = scipy("spatial").cKDTree(points)
+    spacing = tree.query(some, _SPACING_NEIGHBOR + 1, workers=threads)[0][:, -1]
+    return float(np.median(spacing)) * _REACH_SPACINGS / MOST_REACH_CELLS
 
 
 def distance_field(

@@ -27,13 +27,13 @@ from malus.object.arrays import GrowingArray, chunks
 from malus.object.color import Paint
 from malus.object.definition import Object
 from malus.object.glb import write_levels
-from malus.object.implicit import pieces
+from malus.object.implicit import pieces, pixel_side
 from malus.object.joining import joined_mesh
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import columns, write_ply
 from malus.object.reference import Comparison
 from malus.object.sharpening import Phases, sharpened, telling
-from malus.object.views import Floats, View, load_view, sees, stored
+from malus.object.views import Floats, View, load_view, may_see, sees, stored
 from malus.object.words import said_of_object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
@@ -49,6 +49,8 @@ Progress = Callable[[float, str], None]
 _MOST_TO_SIMPLIFY = 4_000_000
 #: Stations that lie off the others by more than this many standard deviations (RMS) get a warning (docs/tutorials/whole-object.md).
 _WORTH_A_WARNING = 2.0
+#: So do stations of whose surface more than this share is too unsure for the mesh.
+_MOST_UNSURE = 1 / 3
 
 
 def run_object(
@@ -238,6 +240,9 @@ def _fuse(
             for name in (outcome["station"] for outcome in done)
         ]
         gsd = float(np.median([view.gsd for view in views]))
+        most_sigma = (
+            max(view.most_sigma for view in views) if thing.max_sigma_gsd is None else thing.max_sigma_gsd * gsd
+        )
         say(0.1, "combining what stations see")
         # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
         agreements = agreement.combine(views, threads=threads)[1]
@@ -247,14 +252,14 @@ def _fuse(
         ]
         told = telling(views, phases, threads=threads)
         views = [stored(view, scratch / "sharpened" / view.name) for view in sharpened(views, told, threads=threads)]
-        everything = agreement.object_points(views, _clouds(thing, done, folder.parent), threads=threads)
+        everything = agreement.object_points(views, _clouds(thing, done, folder.parent, gsd, threads), threads=threads)
         say(0.3, f"a mesh of {len(everything.points)} points")
-        mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", thing.max_sigma_gsd * gsd)
+        mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", most_sigma)
         if thing.closed:
             mesh = meshing.closed_surface(mesh, gsd, folder, Colmap(1, thing.campaign.options.photos.backend))
         paint = Paint.of(views, mesh.vertices, mesh.normals)
         say(0.5, f"texture of {len(mesh.triangles)} triangles")
-        simpler = _simpler(thing, mesh, everything, gsd, scratch, threads)
+        simpler = _simpler(thing, mesh, everything, gsd, most_sigma, scratch, threads)
         albedos = Albedos.of(views, folder.parent / "stations", scratch / "albedo")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
@@ -298,7 +303,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
 
 
 def _simpler(
-    thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, scratch: Path, threads: int
+    thing: Object, mesh: ObjectMesh, points: OrientedPoints, gsd: float, most_sigma: float, scratch: Path, threads: int
 ) -> ObjectMesh | None:
     """The same surface on a coarser lattice, to simplify from if the mesh is too large to be simplified at once; else None."""
     if thing.closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY:
@@ -307,11 +312,13 @@ def _simpler(
     # As many points per cell as on the fine lattice. A random choice leaves them equally dense in all directions.
     chosen = np.random.default_rng(0).random(len(points.points)) < 1 / coarser**2
     coarse = pieces(points.select(chosen), coarser * gsd, threads)
-    return joined_mesh(coarse, scratch / "coarse", thing.max_sigma_gsd * gsd)
+    return joined_mesh(coarse, scratch / "coarse", most_sigma)
 
 
-def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[OrientedPoints]:
-    """The stations' clouds that have normals, without duplicates, as large as known distances make them."""
+def _clouds(thing: Object, done: Sequence[Outcome], output: Path, gsd: float, threads: int) -> list[OrientedPoints]:
+    """The stations' clouds that have normals, without duplicates, as large as known distances make them. Their points count as pixels
+    that are large enough to join each other to a surface.
+    """
     parts = []
     clouds: dict[str, tuple[str, float]] = {}
     for outcome in done:
@@ -322,10 +329,14 @@ def _clouds(thing: Object, done: Sequence[Outcome], output: Path) -> list[Orient
         points, normals = _read_cloud(Path(cloud), thing.unit)
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
         if normals is not None:
-            count = len(points)
+            count, points = len(points), scale * points
+            side = pixel_side(points, threads) / gsd
             parts.append(
-                OrientedPoints(scale * points, normals, np.full(count, float(noise)), np.zeros(count, np.int64))
-            )
+                OrientedPoints(
+                    points, normals, np.full(count, float(noise)), np.zeros(count, np.int64),
+                    np.full(count, side, np.float32) if side > 1 else None,
+                )
+            )  # fmt: skip
     return parts
 
 
@@ -388,7 +399,9 @@ def _write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, s
     total = 0.0
     for rows in chunks(len(mesh.vertices)):
         points, normals = mesh.vertices[rows], mesh.normals[rows]
-        by = np.stack([sees(view, points, normals) for view in paint.views])
+        by = np.zeros((len(paint.views), len(points)), bool)
+        for k in may_see(paint.views, points):
+            by[k] = sees(paint.views[k], points, normals)
         colors.add(paint.srgb(points, normals))
         stations.add(np.minimum(by.sum(0), 255))  # a byte in the file
         share = mesh.shares(rows)
@@ -445,6 +458,8 @@ def _station_figures(
                 "reasons": outcome["figures"].get("reasons", ""),
                 "seen_fraction": float(coverage.seen[k]),
                 "alone_fraction": float(coverage.alone[k]),
+                "unsure_fraction": views[k].unsure,
+                "max_sigma_gsd": views[k].most_sigma / views[k].gsd,
                 "agreement": agreement.agreement_figures([agreements[k]], views[k].gsd),
             }
         rows.append(row)
@@ -484,6 +499,11 @@ def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     warnings = []
     for row in done:
         name, off = row["station"], row["agreement"]["rms_ratio"]
+        if row["unsure_fraction"] > _MOST_UNSURE:
+            warnings.append(
+                f"object: {name}: {100 * row['unsure_fraction']:.0f} % of its surface is left out, because its standard deviation is above "
+                f"{row['max_sigma_gsd']:.3g} GSD (object.max_sigma_gsd)"
+            )
         if row["seen_fraction"] == 0:
             warnings.append(
                 f"object: {name}: no part of the mesh is its surface, which is less sure than object.max_sigma_gsd allows, or which "

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,11 +23,15 @@ _TEXELS_PER_GSD = 1.5
 _MOST_SIDE = 8192
 #: Width of the margin of empty texels about a chart that take the border's values, so that filtering shows no seam.
 _MARGIN_PX = 4
+#: Samples that lie outside of a triangle by no more than this (in samples) are on its edge.
+_ON_EDGE = 1e-9
 #: Most levels of detail, and fewest triangles of a level.
 _MOST_LEVELS = 5
 _LEAST_FACES = 500
 #: Most vertices of a mesh that is searched with one tree in memory; where it is searched for its levels, it has so many parts across.
 _MOST_IN_MEMORY, _PARTS_ACROSS = 4_000_000, 16
+#: The vertices of a large mesh are sorted into so many cells across.
+_CELLS_ACROSS = 64
 
 
 @dataclass(frozen=True)
@@ -122,34 +127,37 @@ def _baked(flat: TexturedMesh, full: ObjectMesh, paints: Sequence[Paint], coarse
     find = NearestVertices(full)
     covered = np.zeros((side, side), bool)
     away = []
-    # Neighboring triangles come together, so that few vertices of the full mesh are needed at a time.
-    order = np.lexsort(
-        np.floor(flat.vertices[flat.triangles[:, 0]] / (64 * np.ptp(flat.vertices, axis=0).max() / side)).T
-    )
-    for some in _in_portions(flat, order, coarseness):
-        triangles = flat.triangles[some]
-        rows, columns, owner, shares = _texels(flat.uv * side, triangles, side, coarseness)
-        places = (shares[..., None] * flat.vertices[triangles[owner]]).sum(1)
-        nearest = find(places)
-        near, near_normals = full.vertices[nearest], full.normals[nearest]
-        away.append(np.abs(((places - near) * near_normals).sum(1)))
-        frame, along = (
-            (shares[..., None] * values[triangles[owner]]).sum(1) for values in (flat.normals, flat.tangents[:, :3])
-        )
-        texel, where = np.unique(rows * side + columns, return_inverse=True)
-        fine = _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3])
-        local = unit(_means(where, fine, len(texel)))
-        at = np.unravel_index(texel, (side, side))
-        flat.normal_map[at] = np.rint((local + 1) * 127.5).astype(np.uint8)
-        for image, paint in zip(painted, paints, strict=True):
-            image[at] = srgb_bytes(_means(where, paint.linear(near, near_normals), len(texel)))
-        covered[at] = True
+    corners = flat.vertices[flat.triangles]
+    for region in find.regions(corners.mean(1)):
+        nearest_to = find.about(corners[region].reshape(-1, 3))
+        for some in _in_portions(flat, region, coarseness):
+            triangles = flat.triangles[some]
+            rows, columns, owner, shares = _texels(flat.uv * side, triangles, side, coarseness)
+            if not len(owner):
+                continue
+            places = (shares[..., None] * corners[some[owner]]).sum(1)
+            nearest = nearest_to(places)
+            near, near_normals = full.vertices[nearest], full.normals[nearest]
+            away.append(np.abs(((places - near) * near_normals).sum(1)))
+            frame, along = (
+                (shares[..., None] * values[triangles[owner]]).sum(1) for values in (flat.normals, flat.tangents[:, :3])
+            )
+            texel, where = np.unique(rows * side + columns, return_inverse=True)
+            fine = _tangent_space(near_normals, frame, along, flat.tangents[triangles[owner, 0], 3])
+            local = unit(_means(where, fine, len(texel)))
+            at = np.unravel_index(texel, (side, side))
+            flat.normal_map[at] = np.rint((local + 1) * 127.5).astype(np.uint8)
+            for image, paint in zip(painted, paints, strict=True):
+                image[at] = srgb_bytes(_means(where, paint.linear(near, near_normals), len(texel)))
+            covered[at] = True
     _grow(covered, (*painted, flat.normal_map))
     return replace(flat, deviation=float(np.sqrt((np.concatenate(away) ** 2).mean())))
 
 
-def _in_portions(flat: TexturedMesh, order: NDArray[np.int64], finer: int) -> list[NDArray[np.int64]]:
-    """The triangles in this order, in portions of about CHUNK samples."""
+def _in_portions(flat: TexturedMesh, some: NDArray[np.int64], finer: int) -> list[NDArray[np.int64]]:
+    """These triangles in portions of about CHUNK samples. Neighbors come together, so that few vertices of the full mesh are read at a time."""
+    texels = 64 * np.ptp(flat.vertices, axis=0).max() / len(flat.color)
+    order = some[np.lexsort(np.floor(flat.vertices[flat.triangles[some, 0]] / texels).T)]
     corners = flat.uv[flat.triangles[order]] * len(flat.color) * finer
     boxes = (np.ptp(corners, axis=1) + 1).prod(1)
     return np.split(order, np.flatnonzero(np.diff(np.cumsum(boxes) // CHUNK)) + 1)
@@ -167,46 +175,81 @@ class NearestVertices:
     def __init__(self, mesh: ObjectMesh) -> None:
         self._mesh = mesh
         self._whole = self._among(np.arange(len(mesh.vertices))) if len(mesh.vertices) <= _MOST_IN_MEMORY else None
-        # Vertices follow each other block by block, so that most chunks lie elsewhere as a whole.
-        self._chunks = chunks(len(mesh.vertices)) if self._whole is None else []
-        self._boxes = [(mesh.vertices[rows].min(0), mesh.vertices[rows].max(0)) for rows in self._chunks]
+        if self._whole is None:
+            self._sort_into_cells()
+
+    def _sort_into_cells(self) -> None:
+        vertices = self._mesh.vertices
+        low, high = vertices.min(0), vertices.max(0)
+        self._low, self._cell = low, float((high - low).max()) / _CELLS_ACROSS
+        cells = np.empty(len(vertices), np.int32)
+        for rows in chunks(len(vertices)):
+            cells[rows] = self._number(self._cell_of(vertices[rows]))
+        self._sorted: NDArray[np.int64] = np.argsort(cells, kind="stable")
+        numbers, starts = np.unique(cells[self._sorted], return_index=True)
+        ends = [*starts[1:].tolist(), len(cells)]
+        self._rows = {
+            number: slice(*ends_) for number, *ends_ in zip(numbers.tolist(), starts.tolist(), ends, strict=True)
+        }
+
+    def _cell_of(self, places: Floats) -> NDArray[np.int64]:
+        return np.asarray(np.clip(np.floor((places - self._low) / self._cell), 0, _CELLS_ACROSS), np.int64)
+
+    @staticmethod
+    def _number(cell: NDArray[np.int64]) -> NDArray[np.int64]:
+        across = _CELLS_ACROSS + 1
+        return (cell[..., 0] * across + cell[..., 1]) * across + cell[..., 2]
+
+    def __call__(self, places: Floats) -> NDArray[np.int64]:
+        """Numbers (N) of the vertices nearest to places (N×3)."""
+        numbers = np.empty(len(places), np.int64)
+        for some in self.regions(places):
+            numbers[some] = self.about(places[some])(places[some])
+        return numbers
+
+    def regions(self, places: Floats) -> list[NDArray[np.int64]]:
+        """Numbers of the places (N×3), those that lie together in one array: few vertices are needed for each."""
+        every = np.arange(len(places))
+        if self._whole is not None or not len(places):
+            return [every]
+        cells = np.floor(places * (_PARTS_ACROSS / max(float(np.ptp(places, axis=0).max()), 1e-300)))
+        order = np.lexsort(cells.T)
+        return np.split(order, np.flatnonzero((np.diff(cells[order], axis=0) != 0).any(1)) + 1)
+
+    def about(self, region: Floats) -> Callable[[Floats], NDArray[np.int64]]:
+        """A function that gives the numbers of the vertices (N) that are nearest to places (N×3) among these (M×3) or between them."""
+        low, high = region.min(0), region.max(0)
+        margin = math.inf if self._whole else 0.25 * float((high - low).max())
+        tree, rows = self._whole or self._within(low - margin, high + margin)
+
+        def nearest(places: Floats) -> NDArray[np.int64]:
+            nonlocal margin, tree, rows
+            away, found = tree.query(places, workers=1)
+            while (farthest := float(away.max())) > margin:
+                # A vertex that is out of the margin may be nearer.
+                margin = 2 * margin + 1e-9 if math.isinf(farthest) else farthest
+                tree, rows = self._within(low - margin, high + margin)
+                away, found = tree.query(places, workers=1)
+            return np.asarray(rows[found])
+
+        return nearest
 
     def _among(self, rows: NDArray[np.int64]) -> tuple[Any, NDArray[np.int64]]:
         return scipy("spatial").cKDTree(self._mesh.vertices[rows]), rows
 
-    def __call__(self, places: Floats) -> NDArray[np.int64]:
-        """Numbers (N) of the nearest vertices."""
-        tree, rows = self._whole or self._among(self._about(places))
-        return np.asarray(rows[tree.query(places, workers=1)[1]])
-
-    def _about(self, places: Floats) -> NDArray[np.int64]:
-        low, high = places.min(0), places.max(0)
-        margin = 0.25 * (high - low).max()
-        while True:
-            parts = [np.empty(0, np.int64)]
-            for rows, (least, most) in zip(self._chunks, self._boxes, strict=True):
-                if (most >= low - margin).all() and (least <= high + margin).all():
-                    vertices = self._mesh.vertices[rows]
-                    near = ((vertices >= low - margin) & (vertices <= high + margin)).all(1)
-                    parts.append(rows.start + np.flatnonzero(near))
-            if len(found := np.concatenate(parts)):
-                return found
-            margin = 2 * margin + 1e-9
+    def _within(self, low: Floats, high: Floats) -> tuple[Any, NDArray[np.int64]]:
+        """A search tree of all vertices in a box, and some beside it."""
+        ends = zip(self._cell_of(low).tolist(), self._cell_of(high).tolist(), strict=True)
+        cells = np.array(list(itertools.product(*(range(first, last + 1) for first, last in ends))))
+        known = [self._rows[number] for number in self._number(cells).tolist() if number in self._rows]
+        return self._among(np.concatenate([np.empty(0, np.int64), *(self._sorted[rows] for rows in known)]))
 
 
 def _levels(full: ObjectMesh, places: Floats) -> NDArray[np.integer]:
     """How often the full mesh's cells were halved at each place (N×3)."""
-    levels = np.zeros(len(places), np.uint8)
     if full.level is None or not len(places):
-        return levels
-    find = NearestVertices(full)
-    # Neighboring places come together, so that few vertices of the full mesh are needed at a time.
-    cells = np.floor(places * (_PARTS_ACROSS / max(float(np.ptp(places, axis=0).max()), 1e-300)))
-    order = np.lexsort(cells.T)
-    ends = np.flatnonzero((np.diff(cells[order], axis=0) != 0).any(1)) + 1
-    for some in np.split(order, ends):
-        levels[some] = full.level[find(places[some])]
-    return levels
+        return np.zeros(len(places), np.uint8)
+    return full.level[NearestVertices(full)(places)]
 
 
 def _atlas(
@@ -248,27 +291,36 @@ def _texels(
     corners_px: Floats, triangles: NDArray[np.int64], side: int, finer: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats]:
     """Row, column, triangle and barycentric shares (N×3) of every sample whose center is inside a triangle; a texel has finer × finer samples."""
-    a, b, c = (corners_px[triangles[:, k]] * finer - 0.5 for k in range(3))
-    low = np.floor(np.minimum(np.minimum(a, b), c)).astype(np.int64)
-    size = np.ceil(np.maximum(np.maximum(a, b), c)).astype(np.int64) - low + 1
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    parts: list[tuple[Any, ...]] = []
-    # Triangles are small: loop over the offsets in their bounding boxes, all triangles at once.
-    for dy in range(int(size[:, 1].max())):
-        some = np.flatnonzero((size[:, 1] > dy) & (area != 0))
-        for dx in range(int(size[some, 0].max()) if len(some) else 0):
-            some = some[size[some, 0] > dx]
-            p = low[some] + (dx, dy)
-            s, t = (
-                ((q[some, 0] - p[:, 0]) * (r[some, 1] - p[:, 1]) - (q[some, 1] - p[:, 1]) * (r[some, 0] - p[:, 0]))
-                / area[some]
-                for q, r in ((b, c), (c, a))
-            )
-            held = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (p >= 0).all(1) & (p < side * finer).all(1)
-            s, t = s[held], t[held]
-            parts.append((p[held, 1] // finer, p[held, 0] // finer, some[held], np.stack([s, t, 1 - s - t], 1)))
-    rows, columns, owner, shares = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return rows, columns, owner, shares
+    corners = corners_px[triangles] * finer - 0.5
+    last = side * finer - 1
+    # Rows of samples that cross a triangle, then the samples of each row between the edges that it meets.
+    owner, y = _spans(corners[..., 1].min(1), corners[..., 1].max(1), last)
+    left, right = np.full(len(owner), np.inf), np.full(len(owner), -np.inf)
+    for k in range(3):
+        (x0, y0), (x1, y1) = corners[owner, k].T, corners[owner, (k + 1) % 3].T
+        met = np.flatnonzero((np.minimum(y0, y1) - _ON_EDGE <= y) & (y <= np.maximum(y0, y1) + _ON_EDGE) & (y0 != y1))
+        x0, x1, y0, y1 = x0[met], x1[met], y0[met], y1[met]
+        x = x0 + (x1 - x0) * np.clip((y[met] - y0) / (y1 - y0), 0, 1)
+        left[met], right[met] = np.minimum(left[met], x), np.maximum(right[met], x)
+    some = np.flatnonzero(left <= right)
+    row, x = _spans(left[some], right[some], last)
+    owner, y = owner[some][row], y[some][row]
+    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
+    inside = np.flatnonzero(area[owner] != 0)
+    owner, x, y = owner[inside], x[inside], y[inside]
+    across, down = x - a[owner, 0], y - a[owner, 1]
+    s, t = ((across * q[owner, 1] - down * q[owner, 0]) / (sign * area[owner]) for q, sign in ((c, 1.0), (b, -1.0)))
+    return y // finer, x // finer, owner, np.stack([1 - s - t, s, t], 1)
+
+
+def _spans(first: Floats, last: Floats, most: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """All whole numbers from 0 to `most` in each of the intervals [first, last] (N each): the interval and the number of each."""
+    begin = np.maximum(np.ceil(first - _ON_EDGE), 0).astype(np.int64)
+    end = np.minimum(np.floor(last + _ON_EDGE), most).astype(np.int64) + 1
+    count = np.maximum(end - begin, 0)
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) + np.repeat(begin - (np.cumsum(count) - count), count)
 
 
 def _tangents(points: Floats, normals: Floats, uv: Floats, triangles: NDArray[np.int64]) -> Floats:

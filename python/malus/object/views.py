@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +24,11 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
+#: Usual limit of a surface's sigma, in GSD and in standard deviations of a point of the prior; the larger one counts.
+_MOST_SIGMA = 4.0
+#: Errors of depth are alike over this share of the length that the prior was smoothed over (decision 121).
+_SHARED = 0.5
+
 
 def scipy(module: str) -> ModuleType:
     """A module of scipy; ExternalError if the package is not installed."""
@@ -39,7 +46,9 @@ class View:
     where the object may be: the reconstructed pixels and a rim about them.
 
     sigma: one standard deviation along the normal. cosine: of the angle between normal and viewing ray. Maps are in single
-    precision, as the station's own rasters are: many stations of many megapixels are read together.
+    precision, as the station's own rasters are: many stations of many megapixels are read together. shared_px: errors of depth are
+    alike over about so many pixels. most_sigma: no usable pixel has a larger sigma. unsure: share of the surface that is not usable
+    for this reason.
     """
 
     name: str
@@ -55,6 +64,9 @@ class View:
     usable: Bools
     object: Bools
     color: Singles
+    shared_px: float = 1.0
+    most_sigma: float = math.inf
+    unsure: float = 0.0
 
     @cached_property
     def core(self) -> _core.ObjectView:
@@ -62,7 +74,9 @@ class View:
         height, width = self.depth.shape
         camera = Camera("PINHOLE", width, height, [*self.focal, *self.center], self.rotation, self.translation)
         masks = (np.asarray(mask, bool).view(np.uint8) for mask in (self.usable, self.object))
-        return _core.ObjectView(self.name, self.gsd, camera, self.depth, self.normals, self.sigma, self.cosine, *masks)
+        return _core.ObjectView(
+            self.name, self.gsd, self.shared_px, camera, self.depth, self.normals, self.sigma, self.cosine, *masks
+        )
 
     @property
     def eye(self) -> Floats:
@@ -84,18 +98,24 @@ class View:
         """World points (…×3) of the surface in these pixels. InputError if one of them is outside of the image."""
         return self.core.points_at(rows.ravel(), columns.ravel()).reshape(*rows.shape, 3)
 
-    def sights(
-        self, points: Floats, normals: Floats, near_gsd: float
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:
-        """Row, column and cosine of the angle under which this view sees places of a surface (N×3, with normals) that lie at most
-        `near_gsd` GSD from its own surface; the first pixel and 0 for all others.
+    def sights(self, points: Floats, normals: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:
+        """Row, column and cosine of the angle under which this view sees places of a surface (N×3, with normals) that it has measured
+        (`sees`); the first pixel and 0 for all others.
         """
-        return self.core.sights(points, normals, near_gsd)
+        return self.core.sights(points, normals)
 
 
 def sees(view: View, points: Floats, normals: Floats) -> Bools:
-    """Which places of a surface (N×3, with normals) the view has measured."""
+    """Which places of a surface (N×3, with normals) the view has measured: its own surface is at most four standard deviations away."""
     return view.core.sees(points, normals)
+
+
+def may_see(views: Sequence[View], points: Floats) -> list[int]:
+    """Numbers of the views whose field of view reaches into the box about these points (N×3): no other view sees any of them."""
+    if not len(points):
+        return []
+    low, high = points.min(0), points.max(0)
+    return [k for k, view in enumerate(views) if view.core.may_see(low, high)]
 
 
 def stored(view: View, folder: Path) -> View:
@@ -105,12 +125,18 @@ def stored(view: View, folder: Path) -> View:
     return replace(view, **maps)
 
 
-def load_view(name: str, folder: Path, most_sigma_gsd: float, threads: int = ALL_CORES) -> View:
-    """The surface of a station's finished workspace. Pixels whose sigma is above `most_sigma_gsd` GSD are not usable."""
+def load_view(name: str, folder: Path, most_sigma_gsd: float | None = None, threads: int = ALL_CORES) -> View:
+    """The surface of a station's finished workspace. Pixels whose sigma is above `most_sigma_gsd` GSD are not usable; None: above four
+    GSD and above four standard deviations of a point of the station's prior, which does not become surer with smaller pixels.
+    """
     workspace = Workspace(folder)
-    surface = workspace.surface()
+    surface, prior = workspace.surface(), workspace.manifest["steps"]["prior"]["notes"]
     camera, (rotation, translation) = workspace.camera, workspace.pose
-    gsd, maps = _core.view_maps(surface, most_sigma_gsd, threads)
+    gsd = _core.median_gsd(surface)
+    most = _MOST_SIGMA * max(1.0, prior["noise"] / gsd) if most_sigma_gsd is None else most_sigma_gsd
+    maps = _core.view_maps(surface, most, threads)
+    sigma_gsd = maps["sigma"] / (surface.depth / camera.fx)
+    known = np.isfinite(sigma_gsd)
     return View(
         name=name,
         gsd=gsd,
@@ -125,4 +151,7 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float, threads: int = ALL
         usable=maps["usable"].view(bool),
         object=maps["object"].view(bool),
         color=workspace.color().reshape(*surface.depth.shape, -1),
+        shared_px=max(1.0, _SHARED * prior["smoothing_px"]),
+        most_sigma=most * gsd,
+        unsure=float((sigma_gsd[known] >= most).mean()) if known.any() else 0.0,
     )

@@ -153,6 +153,11 @@ TEST(Combine, StereoSupportsWhatOneStationSeesFlat) {
   EXPECT_EQ(std::ssize(combine(all, {}, {}).points.points), steep);
   EXPECT_GE(std::ssize(combine(all, sphere_cloud(60000), {}).points.points), steep + flat * 99 / 100);
   EXPECT_EQ(std::ssize(combine(all, sphere_cloud(3), {}).points.points), steep);
+  // Points of a coarse cloud support places between them that are many pixels away.
+  OrientedPoints coarse = sphere_cloud(600);
+  EXPECT_LT(std::ssize(combine(all, coarse, {}).points.points), steep + flat / 2);
+  coarse.scale.assign(coarse.size(), 4);
+  EXPECT_GE(std::ssize(combine(all, coarse, {}).points.points), steep + flat * 99 / 100);
 }
 
 TEST(Combine, IsTheSameWithAnyNumberOfThreads) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "malus/core/median_internal.h"
+#include "malus/core/square_internal.h"
 #include "malus/object/phase_planes_internal.h"
 #include "malus/object/sharpening_internal.h"
 #include "object/views.h"
@@ -77,6 +78,28 @@ TEST(Sharpening, PhasesOfSeveralStationsBringTheNormalsBack) {
   EXPECT_GT(before.degrees, 3);
   EXPECT_LT(after.degrees, 0.6 * before.degrees);
   EXPECT_LT(after.distance, before.distance);
+}
+
+TEST(Sharpening, PixelsThatShareAnErrorDoNotHoldItInPlace) {
+  Scene scene(0, false);
+  // A swelling over most of the image: all pixels are wrong together, as on a prior from few points.
+  FusedSurface& surface = scene.stations[0].surface;
+  const double swelling = scene.exact[0].view().gsd;
+  for_each_pixel(surface.depth.size(), [&](int u, int v) {
+    const double away2 = square(u - 63.5) + square(v - 63.5);
+    surface.depth(u, v) -= static_cast<float>(swelling * std::exp(-away2 / (2 * square(12.0))));
+  });
+  const std::vector<PhasedView> phased = scene.phased();
+  ObjectView view = phased[0].view;
+  const auto left = [&] {
+    const SharpenedMaps moved = sharpened(view, phased, {});
+    return moved.depth(64, 32) - moved.depth(64, 64) -
+           (scene.exact[0].surface.depth(64, 32) - scene.exact[0].surface.depth(64, 64));
+  };
+  const double before = left();
+  view.shared_px = 10;
+  EXPECT_GT(before, 0.5 * swelling);
+  EXPECT_LT(std::abs(left()), 0.5 * before);
 }
 
 TEST(Sharpening, WhatIsRightStays) {

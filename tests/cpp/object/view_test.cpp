@@ -76,6 +76,14 @@ TEST(ObjectView, NamesASurfaceThatIsKnownNowhere) {
       ErrorCode::input, [&] { station.view(); }, "front: its GSD is nan");
 }
 
+TEST(ObjectView, NamesAnImpossibleLengthOfSharedErrors) {
+  const Station station = sphere_station("front", {1, 0, 0});
+  ObjectView view = station.view();
+  view.shared_px = 0.5;
+  expect_error(
+      ErrorCode::input, [&] { view.validate(); }, "front: its errors are alike over 0.5");
+}
+
 TEST(ViewLookup, RulesOutOnlyWhatTheCameraCannotSee) {
   std::vector<Station> stations;
   for (const Eigen::Vector3d& axis : {Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, -1, 0), Eigen::Vector3d(0, 1, 2)}) {
@@ -108,16 +116,16 @@ TEST(ViewLookup, SeesItsOwnSideOfASphere) {
   const Station station = sphere_station("a", {1, 0, 0});
   const ObjectView view = station.view();
   const Eigen::Vector3d x = Eigen::Vector3d::UnitX();
-  EXPECT_TRUE(sees(view, views::radius * x, x));
-  EXPECT_FALSE(sees(view, views::radius * x, -x)) << "from behind";
-  EXPECT_FALSE(sees(view, -views::radius * x, -x)) << "the far side";
-  EXPECT_FALSE(sees(view, (views::radius + 2) * x, x)) << "in front";
-  const auto at = sight(view, views::radius * x, x, 1);
+  EXPECT_TRUE(sight(view, views::radius * x, x).has_value());
+  EXPECT_FALSE(sight(view, views::radius * x, -x).has_value()) << "from behind";
+  EXPECT_FALSE(sight(view, -views::radius * x, -x).has_value()) << "the far side";
+  EXPECT_FALSE(sight(view, (views::radius + 2) * x, x).has_value()) << "in front";
+  const auto at = sight(view, views::radius * x, x);
   ASSERT_TRUE(at.has_value());
   EXPECT_NEAR(at->cosine, 1, 1e-6);
   EXPECT_NEAR(at->u, 63.5, 0.6);
   EXPECT_NEAR(at->v, 63.5, 0.6);
-  EXPECT_FALSE(sight(view, (views::radius + 1.5 * view.gsd) * x, x, 1).has_value());
+  EXPECT_FALSE(sight(view, (views::radius + 5 * view.gsd) * x, x).has_value());
 }
 
 TEST(ViewLookup, ANearViewAtAFlatAngleIsNotTheFinerOne) {
