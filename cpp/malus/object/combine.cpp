@@ -1,6 +1,7 @@
 #include "malus/object/combine.h"
 
 #include <cmath>
+#include <functional>
 #include <string>
 #include <utility>
 
@@ -17,6 +18,29 @@ std::vector<double> gsds_of(std::span<const ObjectView> views) {
   std::vector<double> gsds;
   for (const ObjectView& view : views) gsds.push_back(view.gsd);
   return gsds;
+}
+
+/// What CombinedViews::points is. `keep` gets the agreement of each view.
+OrientedPoints combined_points(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context,
+                               const std::function<void(Agreement)>& keep) {
+  context.validate();
+  for (const ObjectView& view : views) view.validate();
+  cloud.validate();
+  std::vector<double> gsds = gsds_of(views);
+  const std::vector<double> scales = scales_of(gsds);
+  std::vector<OrientedPoints> parts, doubted;
+  for (std::size_t k = 0; k < views.size(); ++k) {
+    context.progress("object", static_cast<double>(k) / static_cast<double>(views.size()), views[k].name);
+    StationMeans means = station_means(views, k, scales[k], context);
+    parts.push_back(std::move(means.believed));
+    doubted.push_back(std::move(means.doubtful));
+    keep(std::move(means.agreement));
+  }
+  if (cloud.size() > 0 && !views.empty()) {
+    const OrientedPoints flat = joined(std::move(doubted));
+    parts.push_back(selected(flat, found_by(cloud, flat, percentile_in_place(gsds, 0.5), context)));
+  }
+  return joined(std::move(parts));
 }
 
 }  // namespace
@@ -53,25 +77,9 @@ AgreementFigures agreement_figures(std::span<const Agreement> agreements, double
 }
 
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context) {
-  context.validate();
-  for (const ObjectView& view : views) view.validate();
-  cloud.validate();
-  std::vector<double> gsds = gsds_of(views);
-  const std::vector<double> scales = scales_of(gsds);
   CombinedViews combined;
-  std::vector<OrientedPoints> parts, doubted;
-  for (std::size_t k = 0; k < views.size(); ++k) {
-    context.progress("object", static_cast<double>(k) / static_cast<double>(views.size()), views[k].name);
-    StationMeans means = station_means(views, k, scales[k], context);
-    parts.push_back(std::move(means.believed));
-    doubted.push_back(std::move(means.doubtful));
-    combined.agreements.push_back(std::move(means.agreement));
-  }
-  if (cloud.size() > 0 && !views.empty()) {
-    const OrientedPoints flat = joined(std::move(doubted));
-    parts.push_back(selected(flat, found_by(cloud, flat, percentile_in_place(gsds, 0.5), context)));
-  }
-  combined.points = joined(std::move(parts));
+  combined.points = combined_points(views, cloud, context,
+                                    [&](Agreement agreement) { combined.agreements.push_back(std::move(agreement)); });
   return combined;
 }
 
@@ -81,7 +89,9 @@ OrientedPoints object_points(std::span<const ObjectView> views, std::span<const 
   for (const OrientedPoints& cloud : clouds) cloud.validate();
   std::vector<double> gsds = gsds_of(views);
   const double gsd = percentile_in_place(gsds, 0.5);
-  OrientedPoints seen = combine(views, joined({clouds.begin(), clouds.end()}), context).points;
+  // Agreements have a raster for each view, which are too many to be kept for nothing.
+  OrientedPoints seen =
+      combined_points(views, joined({clouds.begin(), clouds.end()}), context, [](const Agreement&) {});
   seen = without_coarser(std::move(seen), gsd, context);
   std::vector<OrientedPoints> parts(1);
   for (const OrientedPoints& cloud : clouds) parts.push_back(unseen_stereo(cloud, views, seen, context));

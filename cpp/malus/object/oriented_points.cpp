@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <span>
 #include <utility>
 
 #include "malus/core/median_internal.h"
@@ -34,16 +35,19 @@ std::vector<T> chosen_of(const std::vector<T>& values, std::span<const std::uint
 }  // namespace
 
 OrientedPoints joined(std::vector<OrientedPoints> parts) {
-  OrientedPoints all;
+  if (parts.empty()) return {};
   std::size_t count = 0;
   for (const OrientedPoints& part : parts) count += part.size();
   const bool has_scale = std::ranges::any_of(parts, [](const OrientedPoints& part) { return !part.scale.empty(); });
+  // One array after the other: of millions of points there are never two copies of all.
+  OrientedPoints all = std::move(parts.front());
+  if (has_scale) all.scale.resize(all.size(), 1.0f);
   all.points.reserve(count);
   all.normals.reserve(count);
   all.sigma.reserve(count);
   all.stations.reserve(count);
   if (has_scale) all.scale.reserve(count);
-  for (OrientedPoints& part : parts) {
+  for (OrientedPoints& part : std::span(parts).subspan(1)) {
     append(all.points, part.points);
     append(all.normals, part.normals);
     append(all.sigma, part.sigma);

@@ -23,7 +23,7 @@ from malus.lengths import shown, sides
 from malus.object import agreement, meshing, page, reference, texture
 from malus.object.agreement import Agreement, OrientedPoints
 from malus.object.albedo import Albedos
-from malus.object.arrays import GrowingArray, chunks
+from malus.object.arrays import GrowingArray, chunks, on_disk
 from malus.object.color import Paint
 from malus.object.definition import Object
 from malus.object.glb import write_levels
@@ -245,7 +245,10 @@ def _fuse(
         )
         say(0.1, "combining what stations see")
         # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
-        agreements = agreement.combine(views, threads=threads)[1]
+        agreements = [
+            replace(met, ratio=on_disk(met.ratio, scratch / "agreement" / met.view))
+            for met in agreement.combine(views, threads=threads)[1]
+        ]
         phases = [
             Phases.of(Workspace(folder.parent / "stations" / view.name), scratch / "phases" / view.name)
             for view in views
