@@ -1361,14 +1361,12 @@ def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatc
     np.testing.assert_array_equal(found.normals, given.normals)
     # Their points count as pixels of a size that joins them, whatever the pixels of the images are.
     assert given.scale is None and found.scale is None
-    gsd = 1e-3
-    sides = [cloud().scale]
-    gsd = 5e-4
-    sides.append(cloud().scale)
     tree = pytest.importorskip("scipy.spatial").cKDTree(found.points)
-    spacing = np.median(tree.query(found.points, 7)[0][:, -1])
-    np.testing.assert_allclose(sides[0], 0.3 * spacing / 1e-3, rtol=1e-6)
-    np.testing.assert_allclose(sides[1], 2 * sides[0], rtol=1e-6)
+    side = 0.3 * np.median(tree.query(found.points, 7)[0][:, -1])
+    for times, expected in ((1.1, None), (2, 2), (4, 4), (1000, 12)):
+        gsd = side / times
+        scale = cloud().scale
+        assert scale is None if expected is None else scale == pytest.approx(expected)
 
 
 def test_stations_that_scale_one_cloud_differently_are_refused(pair: Path) -> None:

@@ -333,7 +333,8 @@ def _clouds(thing: Object, done: Sequence[Outcome], output: Path, gsd: float, th
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
         if normals is not None:
             count, points = len(points), scale * points
-            side = pixel_side(points, threads) / gsd
+            # Limited as the scales of views are: the margins about blocks are no wider.
+            (*_, side) = _core.scales_of([gsd, gsd, max(gsd, pixel_side(points, threads))])
             parts.append(
                 OrientedPoints(
                     points, normals, np.full(count, float(noise)), np.zeros(count, np.int64),
