@@ -296,6 +296,12 @@ def _add_chart(commands: _Commands) -> None:
     chart.add_argument(
         "--response", default="linear", metavar="linear|srgb|gamma:X", help="response of the image; default: linear"
     )
+    chart.add_argument(
+        "--white-level", type=float, metavar="DN", help="as in the station file; default: full scale of the file"
+    )
+    chart.add_argument(
+        "--black-level", type=float, default=0.0, metavar="DN", help="as in the station file; default: 0"
+    )
 
 
 def _add_compare(add: _Add) -> None:
@@ -815,7 +821,13 @@ def _run(arguments: Sequence[str] | None) -> None:
         return
     if args.command == "chart":
         corners = _numbers("--corners", args.corners, "eight numbers: x,y of four patches")
-        correction = measure_chart(args.source, corners=corners, response=args.response)
+        correction = measure_chart(
+            args.source,
+            corners=corners,
+            response=args.response,
+            white_level=args.white_level,
+            black_level=args.black_level,
+        )
         print(correction.save(args.output), correction.summary(), sep="\n")
         return
     if args.command == "studio":
