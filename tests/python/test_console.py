@@ -247,6 +247,15 @@ def test_misspelled_words_get_a_suggestion() -> None:
         assert outcome.code == 2 and said in outcome.err, outcome.err
 
 
+def test_help_shows_only_options_that_do_something() -> None:
+    """Options of steps do nothing in commands on a finished workspace, which take them all the same: a mistake in them is told."""
+    for command in ("view", "export", "report", "compare", "fuse"):
+        words = malus_here(command, "--help").out
+        assert all(
+            (option in words) == (command == "fuse") for option in ("--set", "--options", "--fusion", "--preset")
+        )
+
+
 def test_help_has_no_equation_or_figure_numbers() -> None:
     for command in ((), ("fuse",), ("height",), ("decompose",)):
         assert not re.search(r"\b(Eq|Fig)\b", malus_here(*command, "--help").out)

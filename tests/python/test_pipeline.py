@@ -500,7 +500,7 @@ def test_both_programs_end_with_the_confidence(small_station: Path, tmp_path: Pa
 def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path: Path) -> None:
     outcome = malus_here("check", small_station)
     assert outcome.code == 0, outcome.err
-    assert "picture of the cloud on the image: station-check.png" in outcome.out
+    assert "picture of the coarse surface on the image: station-check.png" in outcome.out
     assert "200 x 160 px, 32000 on the object\n" in outcome.out
     right = np.asarray(Image.open(tmp_path / "station-check.png"))
     assert right.ndim == 3 and min(right.shape[:2]) > 400
