@@ -187,7 +187,7 @@ void bind_run(py::module_& module) {
   module.def("describe_run", [](const Options& options, const std::optional<std::string>& until) {
     py::list steps;
     for (const StepDescription& step : describe_run(options, until))
-      steps.append(py::make_tuple(step.name, step.does, step.leaves));
+      steps.append(py::make_tuple(step.name, step.does, step.leaves, step.may_leave));
     return steps;
   });
 

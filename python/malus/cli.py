@@ -108,8 +108,9 @@ def _leaves(until: str, fusion: str | None, *more: str) -> str:
     if fusion is not None:
         options.fusion = fusion
     lines = ["leaves in WORK:"]
-    for step, _, files in _core.describe_run(options.to_json(), until):
+    for step, _, files, further in _core.describe_run(options.to_json(), until):
         lines += [f"  {file}  ({step})" for file in files]
+        lines += [f"  {file}  ({step}, if there is one)" for file in further]
     return "\n".join([*lines, *(f"  {file}" for file in more)])
 
 
