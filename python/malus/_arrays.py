@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from malus.camera import Camera
 
 #: Intensities above this cannot be shares of the white level, however far an exposure was scaled.
 _TOO_BRIGHT = 10
@@ -43,14 +40,6 @@ def as_image(values: ArrayLike, name: str, channels: int = 1, dtype: type = np.f
     if not right or array.size == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
     return np.ascontiguousarray(array, dtype=dtype)
-
-
-def as_view(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]:
-    """The values as a float32 array H×W of the camera's size; ValueError for another shape."""
-    raster = as_image(values, name)
-    if raster.shape != (camera.height, camera.width):
-        raise ValueError(f"{name} has shape {raster.shape}, expected {(camera.height, camera.width)} as its camera")
-    return raster
 
 
 def as_images(

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_mask, as_rows, as_triangles, as_view
+from malus._arrays import as_mask, as_rows, as_triangles
 from malus._core import DepthPrior
 from malus._plain import plain
-from malus.camera import Camera
+from malus.camera import Camera, as_view
 from malus.options import Options
 from malus.station import ShapeValues
 from malus.threads import ALL_CORES

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_image, as_mask, as_rows, as_view
-from malus.camera import Camera
+from malus._arrays import as_image, as_mask, as_rows
+from malus.camera import Camera, as_view
 from malus.options import Options
 from malus.threads import ALL_CORES
 

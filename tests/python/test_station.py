@@ -289,7 +289,7 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
     zeros = {name: np.zeros(SIZE, np.float32) for name in ("unpolarized", "degree", "phase_rad")}
 
     def inputs(maps: Any = zeros, options: malus.Options | None = None, **changes: Any) -> dict[str, Any]:
-        description = reconstruction._described(in_memory(pictures, **changes))
+        description = in_memory(pictures, **changes).describe()
         return reconstruction._fused_of(description, maps, options or malus.Options())
 
     before = inputs()
