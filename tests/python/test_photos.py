@@ -205,8 +205,8 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "neither [[scale]] nor", "EXIF"):
         assert words in outcome.out, words
     with photo_station.open("a") as file:
-        file.write("\n[[scale]]\ndistance = 30\ntargets = [1, 2]\n")
-        file.write("\n[[scale]]\ndistance = 40\ntargets = [2, 3]\ncheck = true\n")
+        for words in ("distance = 30\ntargets = [1, 2]", "distance = 40\ntargets = [2, 3]\ncheck = true"):
+            file.write(f'\n[[scale]]\n{words}\ntargets_dictionary = "aruco_4x4_50"\n')
     assert "scale: 1 known distance; 1 more checks it" in package.check(package.Station.load(photo_station))["does"]
     assert not fake_colmap.exists()
 
