@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from malus._files import natural, require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, positive, tags_of
+from malus.workspace import is_result
 
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
@@ -79,9 +81,32 @@ def describe_photo(path: Path, name: str) -> Photo:
     return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
 
 
+def files_below(folder: Path) -> Iterator[Path]:
+    """The files below a folder that may be photos or masks: none that is hidden, and none of the results of a run, an object, a
+    campaign or `malus check`.
+
+    Raises InputError for a folder with more files and folders than a station can have.
+    """
+    count = 0
+    for place, folders, files in os.walk(folder):
+        count += len(folders) + len(files)
+        if count > MOST_NAMES:
+            raise InputError(
+                f'[photos] folder = "{folder}" has more than {MOST_NAMES} files and folders, expected the photos of one station'
+            )
+        here = Path(place)
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and not _has_results(here / name))
+        yield from (here / name for name in files if not name.startswith(".") and not name.endswith("-check.png"))
+
+
+def _has_results(folder: Path) -> bool:
+    """Whether a folder's pictures are results, which would change with each run if they were taken for photos."""
+    return is_result(folder) or any((folder / name).exists() for name in ("campaign.json", "features.db"))
+
+
 def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> dict[str, Path]:
-    """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
-    without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
+    """The photos of `files_below` a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural
+    order; without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
 
     Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
     more files and folders than a station can have.
@@ -90,16 +115,10 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
     beside = masks is not None and masks == folder
     inside = None if masks is None or beside or not masks.is_relative_to(folder) else masks
-    for count, path in enumerate(folder.rglob("*")):
-        if count == MOST_NAMES:
-            raise InputError(
-                f'[photos] folder = "{folder}" has more than {MOST_NAMES} files and folders, expected the photos of one station'
-            )
-        below = path.relative_to(folder)
-        hidden = any(part.startswith(".") for part in below.parts)
+    for path in files_below(folder):
         is_mask = inside is not None and inside in path.parents
-        if not (hidden or is_mask) and path.suffix.lower() in raw.IMAGE_SUFFIXES and path.is_file():
-            names[below.as_posix()] = path
+        if not is_mask and path.suffix.lower() in raw.IMAGE_SUFFIXES and path.is_file():
+            names[path.relative_to(folder).as_posix()] = path
     if beside:
         found = {mask for name in names for mask in _mask_names(name) if mask != name}
         names = {name: path for name, path in names.items() if name not in found}
