@@ -211,8 +211,9 @@ struct PriorOptions {
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
           "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
     visit("hole_slope", self.hole_slope, not_negative,
-          "growth of the depth's standard deviation inside holes of a depth map, a mesh or a shape, in GSD per px from "
-          "the rim: unseen parts, such as highlights, may deviate from their surroundings");
+          "growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (of a cloud: "
+          "from two point spacings off the nearest point on): unseen parts, such as highlights, may deviate from their "
+          "surroundings");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in "
           "overlapping tiles");
