@@ -46,7 +46,7 @@ STEP_COMMANDS = {
     "decompose": ("zenith", None, "intensity, degree, phase and zenith maps"),
     "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
     "height": ("height", None, "height from polarization alone"),
-    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (the paper's transfer)"),
+    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (the method of the paper)"),
     "refine": ("fuse", "refined", "the fused surface by nonlinear refinement, the same as fuse --fusion refined"),
     "mesh": ("mesh", None, "metric mesh in object space"),
     "assess": ("assess", None, "patches, profiles, comparison with a reference"),
@@ -137,7 +137,8 @@ def _common_options() -> _Parser:
     common.add_argument(
         "--fusion",
         choices=["grid", "refined"],
-        help="grid = the paper's transfer (default of malus paper), refined = nonlinear refinement (default of all others)",
+        help="grid = the method of the paper: faster, coarser (default of malus paper), "
+        "refined = nonlinear refinement (default of all others)",
     )
     common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
     common.add_argument(

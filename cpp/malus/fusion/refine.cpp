@@ -738,7 +738,7 @@ class Refiner {
 
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context) {
-  validate_fields(options, "fusion");
+  validate_fields(options, "refine");
   RefinementImage image = make_image(state, prior, context);
   if (input.refractive_index)
     image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");
