@@ -90,7 +90,7 @@ def _write_map(folder: Path, station: str, shares: NDArray[np.floating]) -> Path
 
 def _shares_of_distances(distances: NDArray[np.float32], gsd: float) -> NDArray[np.float32]:
     """The numbers whose colors stand for these distances: blue is in front, as in the maps of a station."""
-    return (1 - distances / np.float32(_MOST_DISTANCE_GSD * gsd)) / 2
+    return np.asarray((1 - distances / (_MOST_DISTANCE_GSD * gsd)) / 2, np.float32)
 
 
 def _turntable(

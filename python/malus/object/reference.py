@@ -138,7 +138,7 @@ def _completeness(reference: Reference, mesh: ObjectMesh, gsd: float, threads: i
     points, areas = reference.points[some], reference.areas()[some]
     if len(mesh.vertices) < 2 * _MOST_AT_ONCE:
         # What lies so many GSD beyond the mesh's border counts, too.
-        away = _core.distances_from_reference(
+        away: NDArray[np.floating] = _core.distances_from_reference(
             points, points, mesh.vertices, np.ascontiguousarray(mesh.triangles, np.uint32), gsd, _options(_COMPLETE_GSD[-1]), threads, True
         )  # fmt: skip
     else:
