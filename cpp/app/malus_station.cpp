@@ -212,6 +212,13 @@ void require_memory_to_start(int, char**, char**) {
 
 [[gnu::section(".preinit_array"), gnu::used]] void (*const first_of_all)(int, char**, char**) = require_memory_to_start;
 
+/// The steps that --until may name.
+std::string listed_steps() {
+  std::string list;
+  for (const malus::StepDescription& step : malus::describe_run({}, {})) list += (list.empty() ? "" : ", ") + step.name;
+  return list;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -222,11 +229,16 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("malus-station ") + malus::version);
   app.add_option("station", arguments.station, "station file (TOML)")->required()->type_name("STATION.toml");
   app.add_option("-o,--output", arguments.workspace, "workspace folder")->required()->type_name("WORK");
-  app.add_option("--fusion", arguments.fusion, "grid = the paper's transfer, refined = nonlinear refinement (default)")
+  app.add_option("--fusion", arguments.fusion,
+                 "grid = the method of the paper: faster, coarser; refined = nonlinear refinement (default)")
       ->check(CLI::IsMember({"grid", "refined"}));
   app.add_option("--preset", arguments.preset, "start from a named set of options: paper")->type_name("NAME");
-  app.add_option("--until", arguments.until, "last step to run; the steps that it needs run first")->type_name("STEP");
-  app.add_option("--reference", arguments.reference, "compare with this cloud or mesh")->type_name("SCAN.ply");
+  app.add_option("--until", arguments.until,
+                 "last step to run (" + listed_steps() + "); the steps that it needs run first")
+      ->type_name("STEP");
+  app.add_option("--reference", arguments.reference,
+                 "compare with this cloud or mesh (PLY or text; LAS and E57: malus)")
+      ->type_name("SCAN.ply");
   app.add_option("--set", arguments.assignments, "set an option of any step; can be repeated")
       ->type_name("SECTION.KEY=VALUE")
       ->take_all()

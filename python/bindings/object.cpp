@@ -18,6 +18,7 @@
 #include "malus/object/oriented_points_internal.h"
 #include "malus/object/point_choice_internal.h"
 #include "malus/object/sharpening.h"
+#include "malus/object/station_means_internal.h"
 #include "malus/object/view.h"
 #include "malus/object/view_lookup_internal.h"
 #include "words.h"
@@ -111,12 +112,14 @@ PointArrays to_arrays(OrientedPoints&& points) {
 
 using AgreementArrays = std::tuple<std::string, py::object, Array<double>, Array<double>>;
 
+AgreementArrays to_arrays(Agreement&& one) {
+  return {one.view, to_array(std::move(one.ratio)), moved_to_array<double>(std::move(one.distances)),
+          moved_to_array<double>(std::move(one.expected))};
+}
+
 std::pair<PointArrays, std::vector<AgreementArrays>> to_arrays(CombinedViews&& combined) {
   std::vector<AgreementArrays> agreements;
-  for (Agreement& one : combined.agreements) {
-    agreements.emplace_back(one.view, to_array(std::move(one.ratio)), moved_to_array<double>(std::move(one.distances)),
-                            moved_to_array<double>(std::move(one.expected)));
-  }
+  for (Agreement& one : combined.agreements) agreements.push_back(to_arrays(std::move(one)));
   return {to_arrays(std::move(combined.points)), std::move(agreements)};
 }
 
@@ -199,6 +202,8 @@ void bind_view(py::module_& module) {
     return result;
   });
   module.def("median_gsd", &median_gsd);
+  module.def("most_sigma_gsd", &most_sigma_gsd);
+  module.def("shared_px", &shared_px);
 }
 
 void bind_points(py::module_& module) {
@@ -208,6 +213,11 @@ void bind_points(py::module_& module) {
     return scales.unaryExpr([](double scale) { return std::int64_t{level_of(scale)}; });
   });
   module.def("agreement_figures", &figures_of);
+  module.def("agreement", [](const ArrayViews& views, std::size_t which, int threads) {
+    if (which >= views.size()) throw py::index_error("there is no view of this number");
+    return to_arrays(computed(
+        threads, [&](const Context& context) { return station_means(to_views(views), which, 1, context).agreement; }));
+  });
   module.def("combine", [](const ArrayViews& views, const std::optional<PointArrays>& cloud, int threads) {
     const OrientedPoints stereo = cloud ? to_points(*cloud) : OrientedPoints();
     return to_arrays(

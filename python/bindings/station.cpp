@@ -244,6 +244,7 @@ void bind_workspace(py::module_& module) {
   });
   module.def("overtaken_exports", &overtaken_exports);
   module.def("read_manifest", [](const std::string& folder) { return Workspace::read_manifest(folder).dump(); });
+  module.def("refined_share", [](const std::string& quality) { return refined_share(Json::parse(quality)); });
   module.def("surface_words", [](const std::string& quality) { return surface_words(Json::parse(quality)).dump(); });
   module.def("surface_extras", [](const std::string& quality, const std::string& versions) {
     return surface_extras(Json::parse(quality), Json::parse(versions)).dump();

@@ -235,7 +235,7 @@ class PriorSection(Section):
     """Options of the section prior."""
 
     sigma: float | Literal["auto"]
-    """standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the station file, else measured (cloud) or raster_sigma_gsd (others)"""
+    """standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map); required for a shape"""
     smoothing_px: float | Literal["auto"]
     """length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = estimated from the cloud's noise and density"""
     smoothing_scale: float
@@ -253,7 +253,7 @@ class PriorSection(Section):
     max_slope_deg: float
     """steepest slope that a visible surface can have, in degrees; points that lie deeper behind the points around them count as hidden"""
     min_points: int
-    """the run ends with an error if fewer points of the cloud are visible on the object"""
+    """the run ends with an error if fewer points of the cloud, or pixels of another prior, are visible on the object"""
     raster_sigma_gsd: float
     """standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated"""
     correlated_noise: float

@@ -11,17 +11,18 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
 from malus import _core
 from malus._files import resolved, shortened
-from malus._patterns import MOST_NAMES, matching
+from malus._patterns import matching
 from malus._toml import read_toml
 from malus.errors import InputError, MalusError
 from malus.options import Options
+from malus.photogrammetry.photos import files_below
 from malus.photogrammetry.shared_frame import content_of
 from malus.station import Station
 
@@ -85,8 +86,8 @@ class Task:
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
             for folder in filter(None, (station["photos"]["folder"], station["photos"].get("masks"))):
-                below = islice(Path(folder).rglob("*"), MOST_NAMES)  # of more, the run complains
-                files += sorted(path for path in below if path.is_file())
+                with suppress(InputError):  # too many files: the run complains
+                    files += sorted(files_below(Path(folder)))
         return files
 
 

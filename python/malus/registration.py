@@ -145,15 +145,19 @@ def _checked(values: ArrayLike, name: str) -> Points:
     return points
 
 
-def _some(points: Points, most: int) -> Points:
-    """About `most` of the points (less than twice as many), one of every run of equally many.
+def some_of(count: int, most: int) -> NDArray[np.intp]:
+    """Numbers of about `most` of `count` points (less than twice as many), one of every run of equally many.
 
     Its place in the run varies. Points are often in the order of a grid: of a surface 6000 pixels wide, every 1200th point lies in one
     of five columns.
     """
-    run = max(1, len(points) // most)
-    start = np.arange(0, len(points) - run + 1, run)
-    return np.asarray(points[start + (run * (np.arange(len(start)) * _GOLDEN % 1)).astype(int)])
+    run = max(1, count // most)
+    start = np.arange(0, count - run + 1, run)
+    return np.asarray(start + (run * (np.arange(len(start)) * _GOLDEN % 1)).astype(int))
+
+
+def _some(points: Points, most: int) -> Points:
+    return np.asarray(points[some_of(len(points), most)])
 
 
 def _plane_frame(points: Points, towards_camera: Points) -> tuple[Points, Points]:

@@ -41,6 +41,7 @@ CHECKS = {
     "response": "Response of the camera",
     "misfits": "Agreement with the polarizer's sinusoid",
     "angles": "Polarizer angles and exposures",
+    "scale": "Zero and direction of the polarizer's scale",
     "polarization": "Polarization in the images",
     "texture": "Texture finer than the mosaic",
     "contrast": "Contrast against the cloud's colors",

@@ -11,10 +11,7 @@ from malus import _core
 
 def refined_share(quality: Mapping[str, Any]) -> float | None:
     """Share of the object where the surface is finer than its prior; None if the run did not determine it."""
-    trusted: float | None = quality.get("refinement", {}).get("trusted_share")
-    usable: float | None = (quality.get("polarization") or {}).get("valid_fraction")
-    # The first is a share of the pixels with usable polarization; on the others nothing finer than the prior is known.
-    return trusted if trusted is None or usable is None else trusted * usable
+    return _core.refined_share(json.dumps(quality))
 
 
 def is_the_prior(quality: Mapping[str, Any]) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._core import FusedSurface
-from malus._files import sha256_of
+from malus._files import read_regular, sha256_of
 from malus.camera import Camera
 from malus.errors import InputError, MalusError
 from malus.options import Options
@@ -23,6 +23,17 @@ from malus.options import Options
 Raster = NDArray[np.float32]
 #: The names of the steps in manifest.json, in the order in which they run.
 STEPS: tuple[str, ...] = tuple(_core.step_names())
+
+
+def is_result(folder: Path) -> bool:
+    """Whether a folder holds the results of a run, even if damaged. Files manifest.json also exist in IIIF, web pages and archives."""
+    try:
+        said = json.loads(read_regular(folder / "manifest.json"))
+    except OSError:
+        return False
+    except (ValueError, RecursionError):
+        return True
+    return isinstance(said, dict) and ("steps" in said or "format" in said)
 
 
 class WorkspaceGiver(Protocol):

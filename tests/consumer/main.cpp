@@ -48,18 +48,22 @@ malus::TriangleMesh mesh_of(const malus::Results& station) {
 malus::OrientedPoints points_of_object(const std::vector<malus::Results>& stations, const malus::Context& context) {
   std::vector<std::shared_ptr<const malus::FusedSurface>> surfaces;
   std::vector<malus::ViewMaps> maps;
+  std::vector<double> shared_px;
   std::vector<malus::PhaseMaps> phases;
   for (const malus::Results& station : stations) {
-    const auto polarization = station.get<malus::MeasuredPolarization>()->state;
+    const auto polarization = station.get<malus::CalibratedPolarization>()->state;
+    const auto prior = station.get<malus::DepthPrior>();
     surfaces.push_back(station.get<malus::FusedSurface>());
-    maps.push_back(malus::view_maps(*surfaces.back(), 4, context));
+    const double most_sigma_gsd = malus::most_sigma_gsd(malus::median_gsd(*surfaces.back()), prior->noise);
+    maps.push_back(malus::view_maps(*surfaces.back(), most_sigma_gsd, context));
+    shared_px.push_back(malus::shared_px(prior->smoothing_px));
     phases.push_back(malus::phase_maps(polarization->rho, polarization->phi));
   }
   // Views own no pixels: what they look at must outlive them.
   std::vector<malus::ObjectView> views;
   std::vector<malus::PhasedView> telling;
   for (std::size_t k = 0; k < stations.size(); ++k) {
-    views.push_back(malus::object_view("station " + std::to_string(k), *surfaces[k], maps[k]));
+    views.push_back(malus::object_view("station " + std::to_string(k), *surfaces[k], maps[k], shared_px[k]));
     const malus::PhasedView station{views[k], phases[k].cosine, phases[k].sine};
     if (malus::is_telling(station, context)) telling.push_back(station);
   }

@@ -32,7 +32,7 @@ def test_correct_inputs_give_only_notes(finished_grid: Path) -> None:
 
 def test_every_check_has_a_heading_in_the_report() -> None:
     sources = (Path(__file__).parents[2] / "cpp/malus").rglob("*.cpp")
-    named = re.compile(r'\.check = "(\w+)"|(?:Finding|return) ?{"(\w+)",\s+(?:Severity|misfits)')
+    named = re.compile(r'\.check = "(\w+)"|(?:Finding|return) ?{"(\w+)",\s+(?:[Ss]everity|misfits)')
     checks = {first or second for source in sources for first, second in named.findall(source.read_text())}
     assert len(checks) > 10 and checks <= set(CHECKS)
 
@@ -49,12 +49,22 @@ def test_a_warning_is_printed_and_lowers_confidence(small_station: Path, tmp_pat
     work = tmp_path / "work"
     outcome = malus_station(small_station, "-o", work, "--fusion", "grid")
     assert outcome.code == 0, outcome.err
-    assert "do not seem to be in the order of their angles" in outcome.err
     quality = json.loads((work / "quality.json").read_text())
     assert quality["confidence"]["level"] == "low"
     text = findings(work)["order"]["message"]
+    assert "do not seem to be in the order of their angles" in text
+    assert outcome.err.count("warning: " + text) == 1
     assert any(text in reason for reason in quality["confidence"]["reasons"])
-    assert any(text in warning for warning in quality["warnings"])
+    assert [warning.split(":")[0] for warning in quality["warnings"] if text in warning] == ["polarization"]
+
+
+def test_runs_that_end_before_the_evidence_say_what_is_wrong_with_the_images(
+    small_station: Path, tmp_path: Path
+) -> None:
+    edit(small_station, ANGLES, "angles_deg = [0, 90, 60, 30, 120, 150]")
+    outcome = malus_station(small_station, "-o", tmp_path / "work", "--until", "polarization")
+    assert outcome.code == 0, outcome.err
+    assert "do not seem to be in the order of their angles" in outcome.err
 
 
 def test_a_fault_in_part_of_the_image_makes_confidence_partial(small_station: Path, tmp_path: Path) -> None:

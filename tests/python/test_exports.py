@@ -468,6 +468,9 @@ def test_share_of_the_prior_in_the_surface_is_stated(workspace: malus.Workspace)
     for refined, usable, words in ((0.99, 1, "on nearly all"), (0.4, 1, part), (0.8, 0.5, part), (0.01, 1, "the surface is the prior's")):  # fmt: skip
         known = {"refinement": {"trusted_share": refined}, "polarization": {"valid_fraction": usable}}
         assert words in said_of({**workspace.quality, **known})["detail"]
+    # A map of the surroundings leaves out what mirrors the object itself.
+    mirroring = {"trusted_share": 0.8, "surroundings": {"self_mirroring_share": 0.5}}
+    assert part in said_of({**workspace.quality, "refinement": mirroring, "polarization": None})["detail"]
 
 
 def test_meshes_of_a_run_say_how_far_to_trust_them(finished_grid: Path) -> None:

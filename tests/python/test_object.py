@@ -49,11 +49,12 @@ from malus.object import (
     unseen_stereo,
 )
 from malus.object import run as object_run
-from malus.object.agreement import object_points
+from malus.object.agreement import agreements_of, object_points
+from malus.object.albedo import Albedos
 from malus.object.glb import write_levels
-from malus.object.meshing import ObjectMesh
+from malus.object.meshing import ObjectMesh, face_normals
 from malus.object.ply import read_mesh, write_ply
-from malus.object.run import Frame, doubts_of_stations, find_frame, is_closed
+from malus.object.run import Coverage, Frame, doubts_of_stations, find_frame, is_closed, mesh_figures
 from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
@@ -126,6 +127,13 @@ def test_stations_that_agree_give_the_surface_and_say_so(views: list[View]) -> N
     figures = agreement_figures(agreements, views[0].gsd)
     assert figures["within_two_sigma"] == 1.0
     assert figures["rms_ratio"] is not None and figures["rms_ratio"] < 0.1
+
+
+def test_agreement_with_each_station_is_the_same_one_by_one(views: list[View]) -> None:
+    for found, expected in zip(agreements_of(views), combine(views)[1], strict=True):
+        assert found.view == expected.view
+        for values in ("ratio", "distances", "expected"):
+            np.testing.assert_array_equal(getattr(found, values), getattr(expected, values))
 
 
 def joined(parts: list[OrientedPoints]) -> OrientedPoints:
@@ -303,21 +311,29 @@ def test_closed_surface_is_the_open_one_and_a_marked_guess(thin: OrientedPoints,
     assert closed.measured[closed.vertices[:, 2] > -0.4 * RADIUS].all()
     below = closed.vertices[:, 2] < -0.5 * RADIUS - 4 * CELL
     assert below.any() and not closed.measured[below].any()
+    # The guess has large triangles, but counts by its surface.
+    areas = np.linalg.norm(face_normals(closed.vertices, closed.triangles), axis=1)
+    share = (areas * closed.measured[closed.triangles].mean(1)).sum() / areas.sum()
+    assert mesh_figures(closed, CELL, True)["measured_fraction"] == pytest.approx(share, abs=1e-9)
+    assert share < closed.measured.mean() - 0.01
 
 
 def test_parts_far_apart_keep_their_own_seams(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two spheres, 40 000 cells apart along every axis: a monument at the resolution of a close view."""
+    """Two spheres, 400 000 cells apart along every axis: a monument at the resolution of a close view."""
     monkeypatch.setattr(implicit, "BLOCK_CELLS", 20)
     one = joined_mesh(pieces(thin, CELL), tmp_path / "one", 1.0)
-    far = replace(thin, points=thin.points + 40_000 * CELL)
+    far = replace(thin, points=thin.points + 400_000 * CELL)
     both = joined_mesh(pieces(joined([thin, far]), CELL), tmp_path / "both", 1.0)
     assert is_closed(both.triangles)
     assert len(both.triangles) == pytest.approx(2 * len(one.triangles), rel=0.01)
-    farther = replace(thin, points=thin.points + 140_000 * CELL)
-    with pytest.raises(DataError, match="spread over 1400"):
+    farther = replace(thin, points=thin.points + 1_100_000 * CELL)
+    with pytest.raises(DataError, match="spread over 11000.* at most 1048576:"):
         next(pieces(joined([thin, farther]), CELL))
+    fine = replace(far, scale=np.full(len(far.points), 0.2))
+    with pytest.raises(DataError, match="spread over 4000.* at most 262144:"):
+        next(pieces(joined([thin, fine]), CELL))
 
 
 def test_blocks_meet_exactly_and_change_nothing(
@@ -388,7 +404,21 @@ def test_what_one_station_was_told_to_leave_out_has_the_color_that_others_see(sp
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
-def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[View]) -> None:  # type: ignore[no-untyped-def]
+def test_an_albedo_that_is_not_known_is_not_black(
+    sphere: ObjectMesh, views: list[View], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = {view.name: view.color.astype(np.float32) for view in views}
+    images["s0"][points_of(views[0])[..., 2] > 4] = np.nan
+    monkeypatch.setattr("malus.object.albedo.albedo_of", lambda workspace: images[workspace.folder.name])
+    paint = Albedos.of(views, tmp_path, tmp_path / "scratch").paint(sphere)
+    assert paint is not None
+    expected = Paint.of(views, sphere.vertices, sphere.normals).linear(sphere.vertices, sphere.normals)
+    np.testing.assert_allclose(paint.linear(sphere.vertices, sphere.normals), expected, rtol=0.02)
+
+
+def test_between_rims_the_color_is_that_of_the_place_beside(
+    sphere: ObjectMesh, views: list[View], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No station sees a belt of ten GSD; it has no specks of the color that stands for what is far from anything seen."""
     belted = [replace(view, usable=view.usable & (np.abs(points_of(view)[..., 1]) > 1)) for view in views]
     belt = np.abs(sphere.vertices[:, 1]) < 0.8
@@ -398,6 +428,11 @@ def test_between_rims_the_color_is_that_of_the_place_beside(sphere, views: list[
     for part in (above, below):
         np.testing.assert_allclose(found[part], expected[part], rtol=0.02)
     far = sphere.vertices[:, 0] < -2
+    alone = Paint.of(belted[:1], sphere.vertices, sphere.normals)
+    assert (alone.linear(sphere.vertices[far], sphere.normals[far]) == alone.missing / alone.white).all()
+    # Nor is it lent much farther if only some places of a large mesh are searched.
+    monkeypatch.setattr("malus.object.color._SAMPLE", len(sphere.vertices) // 64)
+    far = sphere.vertices[:, 0] < -4
     alone = Paint.of(belted[:1], sphere.vertices, sphere.normals)
     assert (alone.linear(sphere.vertices[far], sphere.normals[far]) == alone.missing / alone.white).all()
 
@@ -612,7 +647,8 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(
         patch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))
         outcome = malus_here("object", pair, "-o", output, "--quiet")
     assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
-    assert not (output / "object/quality.json").exists()
+    # What is left of an earlier surface, or made of this one, would look finished.
+    assert {path.name for path in (output / "object").iterdir()} <= {"lock"}
     require_gone(pair, output)
 
 
@@ -915,21 +951,26 @@ def test_a_turntable_has_photos(pair: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
+@pytest.mark.parametrize(
+    ("found", "said"), [(None, "no point is marked"), ({}, "2 of 2 stations failed; the others are done")]
+)
 def test_an_error_of_the_search_for_cameras_has_the_warnings_before_it(
-    turning: Path, monkeypatch: pytest.MonkeyPatch
+    turning: Path, monkeypatch: pytest.MonkeyPatch, found: dict[str, StationCameras] | None, said: str
 ) -> None:
     """That most photos had nothing in common was kept for a report that was never written."""
 
     def find(*_: Any, log: Callable[[str, str], None], **__: Any) -> dict[str, StationCameras]:
         log("warning", "2.png: nothing in common with the other photos")
         log("info", "matched")
-        raise DataError("no point is marked in two photos")
+        if found is None:
+            raise DataError("no point is marked in two photos")
+        return found
 
     monkeypatch.setattr(object_run, "find_object_cameras", find)
     monkeypatch.setattr(object_run, "unpolarized_scene", lambda *_: (np.ones((80, 100), np.float32), None))
     monkeypatch.setattr(object_run, "_begin", lambda *_: None)
     outcome = malus_here("object", turning, "-o", turning.parent / "out", "--threads", "1", "--quiet")
-    assert outcome.code == 3 and "malus: no point is marked" in outcome.err
+    assert outcome.code == 3 and f"malus: {said}" in outcome.err
     assert "  warning before it: 2.png: nothing in common" in outcome.err and "matched" not in outcome.err
 
 
@@ -1233,6 +1274,15 @@ def test_stations_that_others_do_not_confirm_are_told() -> None:
     figures = [agreement_figures([agreement], FAR / FOCAL)["rms_ratio"] for agreement in agreements]
     told = doubts_of_stations([row(view.name, off) for view, off in zip(views, figures, strict=True)])
     assert [warning.split(": ")[1] for warning in told] == ["off"]
+
+
+def test_agreement_with_a_station_counts_pixels_of_the_object() -> None:
+    views = [sphere_view("a", (1, 0, 0)), replace(sphere_view("b", (1, 0.1, 0), offset=0.1), gsd=0.25)]
+    agreements = combine(views)[1]
+    outcomes = [{"station": view.name, "status": "done", "reason": "", "figures": {}} for view in views]
+    rows = object_run._station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2)), 0.4)
+    for row, met in zip(rows, agreements, strict=True):
+        assert row["agreement"]["median_gsd"] == pytest.approx(np.median(np.abs(met.distances)) / 0.4)
 
 
 def test_figures_of_the_photos_are_those_of_the_last_run(pair: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from conftest import edit, malus_here
 from malus import DataError, InputError, _core, registration
@@ -16,6 +18,7 @@ from malus.object.agreement import OrientedPoints
 from malus.object.meshing import ObjectMesh
 from malus.object.ply import write_ply
 from malus.object.reference import Reference
+from test_object_detail import above
 
 CELL = 0.5
 Points = NDArray[np.float64]
@@ -99,6 +102,51 @@ def test_a_mesh_too_large_is_searched_in_parts(mesh: ObjectMesh, monkeypatch: py
     found = reference.compare(scan, mesh, CELL, 1)
     np.testing.assert_array_equal(found.distances, expected.distances)
     assert found.figures["completeness"]["1_gsd"] == pytest.approx(expected.figures["completeness"]["1_gsd"], abs=0.02)
+    # What lies far beside the mesh or in a hole of it is missing, though the planes through the vertices beside it reach there.
+    near = np.linalg.norm(mesh.vertices - mesh.vertices[0], axis=1) < 6 * CELL
+    torn = replace(mesh, triangles=mesh.triangles[~near[mesh.triangles].any(1)])
+    used, renumbered = np.unique(torn.triangles, return_inverse=True)
+    torn = replace(
+        mesh, vertices=mesh.vertices[used], normals=mesh.normals[used], sigma=mesh.sigma[used],
+        measured=mesh.measured[used], triangles=renumbered.reshape(-1, 3),
+    )  # fmt: skip
+    whole = Reference(stone(directions(20000))[0], None)
+    there = reference.compare(whole, torn, CELL, 1).figures["completeness"]
+    monkeypatch.undo()
+    assert there == pytest.approx(reference.compare(whole, torn, CELL, 1).figures["completeness"], abs=0.015)
+
+
+def test_scans_and_surfaces_in_rows_are_taken_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a scan 5000 points wide, every 500th point lies in one of ten columns."""
+    taken: list[Points] = []
+
+    def placed(*points: Points) -> registration.Placement:
+        taken.extend(points)
+        raise DataError("nowhere")
+
+    monkeypatch.setattr(registration, "place_reference", placed)
+    monkeypatch.setattr(reference, "_REFERENCE_POINTS", 1000)
+    monkeypatch.setattr(reference, "_SURFACE_POINTS", 64)
+    rows, columns = np.indices((100, 500))
+    scan = np.stack([columns, rows, 0 * rows], -1).reshape(-1, 3).astype(float)
+    with pytest.raises(DataError, match="nowhere"):
+        reference.place(Reference(scan, None), [above("a", 1.0)])
+    surface, _, scan = taken
+    assert len(np.unique(np.rint(surface[:, 0]))) > 40 and len(np.unique(scan[:, 0])) > 300
+
+
+def test_the_map_of_a_reference_shows_what_is_in_the_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A station sees the ground; the mesh has the left half of it."""
+    view = above("a", 1.0, waves=False)
+    points = view.points_at(*np.indices(view.depth.shape))
+    left = points[points[..., 0] < 0]
+    half = ObjectMesh(left, left, np.zeros((1, 3), np.int64), np.ones(len(left)), np.ones(len(left), bool))
+    monkeypatch.setattr("malus.object.arrays.CHUNK", 1000)
+    (path,) = page.write_distances(tmp_path, np.zeros(len(left), np.float32), half, [view], 1.0)
+    colors = np.asarray(Image.open(path)).astype(int)
+    shown = (colors == colors[0, 0]).all(-1)
+    assert colors[0, 0].min() > 240 and shown[points[..., 0] < 3].all()
+    assert not shown[points[..., 0] > 5].any() and (colors[~shown] == colors[0, -1]).all()
 
 
 def test_alignment_brings_a_scan_that_is_nearly_there_onto_the_mesh(mesh: ObjectMesh) -> None:
@@ -189,5 +237,6 @@ def test_a_reference_that_cannot_be_read_is_said_before_any_work(pair: Path) -> 
 
 
 def test_blue_is_in_front_of_the_reference_as_in_a_stations_map() -> None:
-    outside, inside, unknown = page._colors_of_distances(np.array([2.0, -2.0, np.nan]), 1.0).astype(int)
+    shares = page._shares_of_distances(np.float32([2.0, -2.0, np.nan]), 1.0)
+    outside, inside, unknown = page.colors_of(shares).astype(int)
     assert outside[2] > outside[0] + 100 and inside[0] > inside[2] + 100 and (unknown == unknown[0]).all()

@@ -25,13 +25,21 @@ import malus as package
 from conftest import EXAMPLE, QUICK, QUICK_WORDS, demo_with_photos, edit, malus, malus_here, malus_station, run_program
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import database, diagnosis, front_end, photo_cameras, scale, station_pose
+from malus.photogrammetry import (
+    database,
+    diagnosis,
+    front_end,
+    photo_cameras,
+    scale,
+    station_pose,
+    window_matching,
+)
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.journal import Journal
+from malus.photogrammetry.journal import UNFINISHED, Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
-from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.reconstruction import expected_times
 from malus.workspace import STEPS
 
@@ -560,6 +568,77 @@ def test_masks_beside_the_photos_or_above_them_are_no_photos(tmp_path: Path) -> 
     masks = [photo.mask and photo.mask.name for photo in with_masks(photos, views)]
     assert masks == ["a.jpg.mask.png", "b_mask.png", None, "c.jpg.png"]
     assert set(names) < {photo.name for photo in list_photos(views, [], tmp_path)}
+
+
+def test_pictures_of_results_below_the_photos_are_no_photos(tmp_path: Path) -> None:
+    made = (
+        "work/report/figures/depth.png",
+        "batch/stations/a/p.tif",
+        "object/photogrammetry/images/p.jpg",
+        "station-check.png",
+    )
+    for name in ("p.jpg", "sub/q.jpg", "iiif/q.jpg", *made):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
+    (tmp_path / "work/manifest.json").write_text('{"steps": {}}')
+    (tmp_path / "iiif/manifest.json").write_text('{"items": []}')
+    (tmp_path / "batch/campaign.json").write_text("{}")
+    (tmp_path / "object/photogrammetry/features.db").touch()
+    assert [photo.name for photo in list_photos(tmp_path, [])] == ["iiif/q.jpg", "p.jpg", "sub/q.jpg"]
+
+
+def test_a_search_for_another_model_has_the_whole_time_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr(photo_cameras.time, "monotonic", lambda: now)
+    gone_on: list[bool] = []
+
+    class Mapper:
+        threads = 1
+
+        def run(self, *_: object, on_line: Callable[[str], None], keep_going: Callable[[], bool]) -> None:
+            nonlocal now
+            first = ["Finding good initial image pair", *(f"Registering image #{i} ({i})" for i in range(2, 5))]
+            for after, lines in ((25, first), (500, first[:1]), (29, ()), (2, ())):
+                now += after
+                for line in lines:
+                    on_line(line)
+                gone_on.append(keep_going())
+            raise SearchStoppedError
+
+    bench = Bench(Mapper(), tmp_path, Journal(tmp_path, print), package.Options(), lambda *_: None, print)  # type: ignore[arg-type]
+    photos = [Photo(f"{i}.jpg", tmp_path, 12, 8) for i in range(4)]
+    groups = photo_cameras.group_by_camera(photos, None)
+    assert photo_cameras._run_mapper(bench, tmp_path / "a.db", 0, groups, 4, False) == ({}, True)
+    assert gone_on == [True, True, True, False]
+
+
+def test_a_search_that_ran_out_of_time_is_not_remembered(tmp_path: Path) -> None:
+    runs: list[bool] = []
+    for stopped in (True, False, False):
+        journal = Journal(tmp_path, print)
+        journal.stage("mapping", {}, [], lambda stopped=stopped: runs.append(stopped) or {UNFINISHED: stopped})  # type: ignore[misc]
+    assert runs == [True, False]
+
+
+@pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])
+def test_a_principal_point_is_adjusted_if_enough_photos_of_its_lens_have_a_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos_of_lenses: list[int], freed: bool
+) -> None:
+    """However many photos were given."""
+    images = {
+        f"{lens}_{number}.jpg": SimpleNamespace(camera_group=(lens,))
+        for lens, count in enumerate(photos_of_lenses)
+        for number in range(count)
+    }
+    model = SimpleNamespace(images=images)
+    monkeypatch.setattr(photo_cameras.SparseModel, "read", lambda _: model)
+    said: list[dict[str, bool]] = []
+    bench = SimpleNamespace(folder=tmp_path, report=lambda *_: None, adjust=lambda *_, **how: said.append(how))
+    photo_cameras._adjust(bench, "sparse", False)  # type: ignore[arg-type]
+    assert said == [{"lens": True, "principal_point": freed}]
+    solved = SimpleNamespace(calibrated=False, model=model)
+    free = window_matching._freedom(solved, {}, model)  # type: ignore[arg-type]
+    assert [how == "all" for how in free.values()] == [count >= 6 for count in photos_of_lenses]
 
 
 def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Path) -> None:

@@ -275,6 +275,12 @@ def test_every_command_leaves_what_its_help_says(tiny_station_source: Path, tmp_
     assert "paper/captions.md, figures and tables" in malus_here("paper", "--help").out
 
 
+def test_help_of_the_executable_names_the_steps() -> None:
+    told = malus_station("--help").out
+    steps = ("polarization", "prior", "polarizer", "evidence", "zenith", "height", "fuse", "mesh", "assess")
+    assert ", ".join(steps) in " ".join(told[told.index("--until") : told.index("--reference")].split())
+
+
 def test_grid_fusion_is_no_refinement(tiny_station: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     for wrong in (["--fusion", "grid"], ["--set", "fusion=grid"]):

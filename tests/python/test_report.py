@@ -314,9 +314,14 @@ def test_what_can_be_trusted_is_stated_in_a_sentence(level: str, refined: float 
 
 
 def test_what_is_refined_is_told_as_a_share_of_the_object() -> None:
-    """The refinement's share is one of the pixels with usable polarization: half of this object is saturated."""
-    quality = figures_of("partial", refinement={"trusted_share": 0.92}, polarization={"valid_fraction": 0.5})
+    """The refinement's share is one of the pixels with usable polarization: half of this object is saturated, and a fifth of the
+    rest mirrors the object itself.
+    """
+    refined = {"trusted_share": 0.92}
+    quality = figures_of("partial", refinement=refined, polarization={"valid_fraction": 0.5})
     assert "blue-green (46 % of the object)" in what_to_trust(quality)
+    quality["refinement"] = {**refined, "surroundings": {"self_mirroring_share": 0.2}}
+    assert "blue-green (37 % of the object)" in what_to_trust(quality)
 
 
 def test_alternative_texts_describe_the_pictures(work: Path) -> None:

@@ -23,8 +23,10 @@ void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const C
   if (std::isnan(median_gsd)) {
     confidence.limit(ConfidenceLevel::partial, "The surface's standard deviation is not known.");
   } else if (!(median_gsd <= unknown_gsd)) {
-    confidence.limit(ConfidenceLevel::low, "The surface is unsure by " + std::to_string(std::lround(median_gsd)) +
-                                               " times the ground sampling distance in the median.");
+    confidence.limit(ConfidenceLevel::low, "The standard deviation of the surface is " +
+                                               std::to_string(std::lround(median_gsd)) +
+                                               " times the ground sampling distance (median): too much for fine "
+                                               "detail.");
   }
 }
 

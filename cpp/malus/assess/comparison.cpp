@@ -76,7 +76,7 @@ void warn_of_planes(std::span<const Eigen::Vector3d> points, const ReferenceSurf
   context.log(LogLevel::warning,
               "the points of the reference scatter by more than half of their spacing, so that the planes through them "
               "turn with the noise and all distances are too small, by a tenth or far more: expected a mesh, a cloud "
-              "that is smoothed or thinned out by means, or a larger assess.reference_neighbors");
+              "that is smoothed or thinned out by averaging neighbors, or a larger assess.reference_neighbors");
 }
 
 /// Composition next ∘ first.

@@ -24,7 +24,8 @@ constexpr auto names_of(Severity) {
 /// Result of a check of the input, worded so that a person who is not a programmer can act on it.
 struct Finding {
   /// What was checked: "phase", "prior", "size", "encoding" (linear or for a display), "curve" (of which display),
-  /// "exposures", "mask" (orientation), "response", "contrast", "order", "registration", "misfits", …
+  /// "exposures", "mask" (orientation), "response", "contrast", "order", "registration", "misfits", "scale" (of the
+  /// polarizer), …
   std::string check;
   Severity severity = Severity::note;
   std::string message;

@@ -220,8 +220,8 @@ class Views {
   std::map<int, View> views_;
 };
 
-Views<SceneView> views_of(const AlignmentScene& scene) {
-  return Views<SceneView>([&scene](int factor) { return scene_view(scene, factor); });
+Views<SceneView> views_of(const AlignmentScene& scene, const Context& context) {
+  return Views<SceneView>([&](int factor) { return scene_view(scene, factor, context); });
 }
 
 /// Compares a prior with the images as given and with turned or mirrored images.
@@ -380,7 +380,9 @@ double share_with_depth(const Image<float>& depth, const Mask& object) {
 
 std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
                              const std::string& unit) {
-  const auto ideas = moved_clouds(cloud, pose, CoverageCounter(camera, object), unit, 1);
+  const CoverageCounter coverage_of(camera, object);
+  if (coverage_of(cloud, affine_of(pose)).covered >= too_little_covered) return "";
+  const auto ideas = moved_clouds(cloud, pose, coverage_of, unit, 1);
   if (ideas.empty() || ideas.front().coverage.covered < moved_covers) return "";
   return ideas.front().what + ": only then does it fall there; " + ideas.front().remedy;
 }
@@ -394,7 +396,7 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   const CloudCoverage coverage = coverage_of(cloud, given);
   found.points_in_view = coverage.in_view;
   found.points_on_object = coverage.on_object;
-  Views<SceneView> scenes = views_of(scene);
+  Views<SceneView> scenes = views_of(scene, context);
   Views<PriorView> priors([&](int factor) { return prior_view(cloud, reduced_camera(scene.camera, factor), given); });
   const int factor = coarse_factor(scene.state.size());
   MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor));
@@ -428,7 +430,7 @@ PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& 
   require_size(depth, scene.state.size(), "depth map of the prior");
   const OpenCvThreads threads(context.threads);
   PriorAlignment found;
-  Views<SceneView> scenes = views_of(scene);
+  Views<SceneView> scenes = views_of(scene, context);
   Views<PriorView> priors([&](int factor) { return prior_view(depth, scene.camera, factor, context); });
   const int factor = coarse_factor(scene.state.size());
   MaskCoverage covered = mask_coverage(priors.at(factor), scenes.at(factor));

@@ -88,7 +88,8 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
 PriorAlignment check_alignment(const Image<float>& depth, const AlignmentScene& scene, const Context& context);
 
 /// A likely reason why a cloud does not fall on the object: other units, exchanged or negated axes, or an inverse pose,
-/// if the corrected cloud would cover 30 % of the object or more; empty = no such reason.
+/// if the corrected cloud would cover 30 % of the object or more; empty = no such reason, or the cloud covers 10 % of
+/// the object as it is.
 std::string why_cloud_misses(const PointCloud& cloud, const Pose& pose, const Pinhole& camera, const Mask& object,
                              const std::string& unit);
 

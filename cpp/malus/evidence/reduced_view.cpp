@@ -7,6 +7,7 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 #include "malus/evidence/smoothing_internal.h"
@@ -76,7 +77,7 @@ void drop_hidden(std::vector<SplatPoint>& points, const Pinhole& camera) {
 
 }  // namespace
 
-SceneView scene_view(const AlignmentScene& images, int factor) {
+SceneView scene_view(const AlignmentScene& images, int factor, const Context& context) {
   const PolarizationState& state = images.state;
   const Image<float>& scene = images.scene;
   const Mask& object = images.object;
@@ -93,7 +94,7 @@ SceneView scene_view(const AlignmentScene& images, int factor) {
                  Image<float>(size),
                  Mask(size)};
   const StokesVariances variances(state);
-  for_each_pixel(size, [&](int column, int row) {
+  parallel_pixels(context, size, [&](int column, int row) {
     double light = 0, variance = 0;
     Eigen::Vector3d stokes = Eigen::Vector3d::Zero();
     int lit = 0, valid = 0, objects = 0;

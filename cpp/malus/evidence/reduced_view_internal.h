@@ -23,7 +23,7 @@ struct SceneView {
   Size size() const { return brightness.size(); }
 };
 
-SceneView scene_view(const AlignmentScene& images, int factor);
+SceneView scene_view(const AlignmentScene& images, int factor, const Context& context);
 
 /// The prior surface as the station sees it, in the same pixels as SceneView.
 struct PriorView {

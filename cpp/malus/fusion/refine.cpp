@@ -320,8 +320,9 @@ class Refiner {
     });
     anchor_to_prior(image_, x_prior, std::min(anchor_length_px(prior, image_, options_.anchor), longest_wave_px_),
                     context_);
-    // The errors of meshes and depth maps are only assumed.
-    if (prior.smoothing_px > 0) stay_near_prior(x_prior);
+    // Assumed errors say nothing, and those of shapes and hulls are systematic.
+    const bool is_stated = prior.noise > 0 && !prior.assumes_sigma && prior.hull_fraction <= 0.5;
+    if (prior.smoothing_px > 0 || is_stated) stay_near_prior(x_prior);
     // Pixels without usable polarization follow their neighbors, and are not counted as evidence.
     report_.trusted_share = mean_over(image_.usable, [&](int u, int v) { return report_.trust(u, v) / 255.0; });
     report_.explained_beyond_plane = mean_over_object(beyond_plane);
@@ -356,6 +357,8 @@ class Refiner {
     report_.label = report_.confidence = Image<std::uint8_t>(size);
     report_.mirrored = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
     ResidualSummary summary(image_.usable);
+    PriorErrors errors{prior.smoothing_px, prior.shares_windows};
+    if (prior.noise > 0) errors.noise_gsd = prior.noise * image_.camera.focal() / image_.depth_of(0);
     for (const TileStrip& tiles : strips_) {
       const StripField strip = weighted_strip(tiles.rows, margin, weights(1, true), &summary);
       const Size part = strip.field.size();
@@ -365,7 +368,7 @@ class Refiner {
               ? Image<std::uint8_t>(part, 1, 255)
               : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
       const Image<float> sigma =
-          surface_sigma(strip.field, trust, {prior.smoothing_px, prior.shares_windows}, context_);
+          surface_sigma(strip.field, trust, errors, context_);
       const Image<float> mirrored = mirrored_light(strip.field, context_);
       parallel_rows(context_, std::min(tiles.rows.end, size.height) - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
@@ -735,7 +738,7 @@ class Refiner {
 
 RefineResult refine(const PolarizationState& state, const DepthPrior& prior, const RefineInput& input,
                     const RefineOptions& options, const Context& context) {
-  validate_fields(options, "fusion");
+  validate_fields(options, "refine");
   RefinementImage image = make_image(state, prior, context);
   if (input.refractive_index)
     image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");

@@ -108,7 +108,7 @@ std::string why_the_priors(const RefineReport& report) {
       "the reflection model does not explain the polarization, or leads farther from the prior than the prior's errors "
       "allow";
   if (!(report.gain_share < much_noise)) return model;
-  return "much of what the polarization would change cannot be told from noise (few electrons, images that do not lie "
+  return "much of what the polarization would change cannot be told from noise (little light, images that do not lie "
          "exactly on each other, texture finer than the pixels), or " +
          model;
 }

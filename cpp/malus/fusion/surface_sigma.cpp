@@ -73,8 +73,9 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   const double length4 = square(square(prior.smoothing_px));
   parallel_pixels(context, field.object, [&](int u, int v) {
     const double stretch = 1 + central_slopes(field, u, v).tan2();
-    variance(u, v) =
-        static_cast<float>(square(of_noise) * variance(u, v) + square(of_smoothing) * length4 * around(u, v) * stretch);
+    const double own = variance(u, v), noise = std::min(own, square(prior.noise_gsd) * stretch);
+    variance(u, v) = static_cast<float>(square(of_noise) * noise + (own - noise) +
+                                        square(of_smoothing) * length4 * around(u, v) * stretch);
   });
   return variance;
 }

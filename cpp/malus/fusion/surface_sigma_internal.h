@@ -1,5 +1,7 @@
 #pragma once
 
+#include <limits>
+
 #include "malus/core/context.h"
 #include "malus/fusion/refinement_field_internal.h"
 
@@ -12,12 +14,15 @@ inline constexpr int surface_sigma_reach_px = 72;
 struct PriorErrors {
   double smoothing_px = 0;      ///< length over which the prior smooths its points; 0 = no smoothing
   bool shares_windows = false;  ///< smoothing does not average its points' noise (DepthPrior::shares_windows)
+  /// Noise of a point [GSD]. More than that is no noise but the uncertainty of a hole, which does not average out.
+  double noise_gsd = std::numeric_limits<double>::infinity();
 };
 
 /// One standard deviation of the resulting depth, station unit; NaN outside the object. `trust` is the share of the
 /// refined surface in the result, 0 (the prior's) … 255.
 ///
-/// *Prior*: σ² = (k σ_p)² + (0.65 B / cos θ)². B is the detail that smoothing over a length L removes: L² times the RMS
+/// *Prior*: σ² = (k σ_n)² + (σ_p² - σ_n²) + (0.65 B / cos θ)². σ_n is the prior's own σ_p, or, if this is less, the
+/// noise of a point: what is beyond it, as in the holes of a cloud, does not average out. B is the detail that smoothing over a length L removes: L² times the RMS
 /// change of the curvature over L. B is needed because a prior's own σ_p covers only the noise of its points, and is
 /// the same on a plane and on a face. k is 0.3, and 1 where neighboring points were measured over common windows.
 /// *Refined*: low frequencies come from the prior. The polarization connects its blocks, which averages their errors:

@@ -107,7 +107,7 @@ double reweigh(const std::vector<double>& residuals, double outlier_scale, std::
 
 LightEstimate estimate_light(const Image<float>& intensity, const Image<float>& normals, const Mask& mask,
                              const Pinhole* camera, const LightOptions& options, const Context& context) {
-  validate_fields(options, "lighting");
+  validate_fields(options, "light");
   require_size(normals, intensity.size(), "normals");
   require_size(mask, intensity.size(), "mask");
   if (normals.channels() != 3) throw input_error("normals: expected 3 channels");

@@ -35,7 +35,7 @@ struct OrientedPoints {
 struct Agreement {
   std::string view;
   Image<float> ratio;  ///< RMS of distance over its stated standard deviation; NaN where no other station measured
-  std::vector<double> distances;  ///< single ones; of a large station only those of every n-th pixel
+  std::vector<double> distances;  ///< single ones; if there are millions, only those of every n-th pixel
   std::vector<double> expected;   ///< their standard deviations
 };
 
@@ -65,8 +65,8 @@ struct CombinedViews {
 /// stereo's points; they support places that one station alone sees at a flat angle and that could be rims.
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context);
 
-/// Points of the object's surface, from which any mesher can make a mesh: means over the stations, and points of
-/// stereo's clouds where no station measured, both without outliers and without points beside finer ones.
+/// Points of the object's surface, from which any mesher can make a mesh: means over the stations, without those beside
+/// finer ones, and points of stereo's clouds where no station measured; all without outliers.
 OrientedPoints object_points(std::span<const ObjectView> views, std::span<const OrientedPoints> clouds,
                              const Context& context);
 

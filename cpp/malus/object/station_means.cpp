@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <ranges>
 #include <utility>
 #include <vector>
 
@@ -133,17 +134,11 @@ std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::siz
   return places;
 }
 
-Eigen::AlignedBox3d box_about(const std::vector<Place>& places) {
-  Eigen::AlignedBox3d box;
-  for (const Place& place : places) box.extend(place.point);
-  return box;
-}
-
-/// Single distances are kept at pixels with numbers that are multiples of this.
-std::size_t distance_step(const ObjectView& view) {
+/// Single distances are kept at pixels with numbers that are multiples of this: there may be one of each other view.
+std::size_t distance_step(const ObjectView& view, std::size_t others) {
   std::size_t usable = 0;
   for (std::size_t i = 0; i < view.camera.size.area(); ++i) usable += view.usable[i] != 0;
-  return std::max<std::size_t>(1, usable / most_compared);
+  return std::max<std::size_t>(1, usable * others / most_compared);
 }
 
 /// What StationMeans has, of a block of pixels.
@@ -173,15 +168,15 @@ OrientedPoints joined_with_scale(std::vector<OrientedPoints> parts, double scale
 
 StationMeans station_means(std::span<const ObjectView> views, std::size_t which, double scale, const Context& context) {
   const ObjectView& view = views[which];
-  const std::size_t pixels = view.camera.size.area(), every = distance_step(view);
   const std::vector<OtherView> others = others_of(views, which);
+  const std::size_t pixels = view.camera.size.area(), every = distance_step(view, others.size());
   StationMeans means;
   means.agreement.view = view.name;
   means.agreement.ratio = Image<float>(view.camera.size, 1, no_value);
   std::vector<MeansOfBlock> blocks((pixels + points_in_a_block - 1) / points_in_a_block);
   parallel_for(context, pixels, points_in_a_block, [&](std::size_t begin, std::size_t end) {
     const std::vector<Place> places = places_of(view, begin, end);
-    const Eigen::AlignedBox3d box = box_about(places);
+    const Eigen::AlignedBox3d box = box_of(places | std::views::transform(&Place::point));
     std::vector<OtherView> near = others;
     std::erase_if(near, [&](const OtherView& other) { return !may_see(*other.view, box); });
     MeansOfBlock& block = blocks[begin / points_in_a_block];

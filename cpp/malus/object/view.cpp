@@ -17,6 +17,10 @@ namespace {
 constexpr int rim_px = 2;
 /// A depth difference of more than this many GSD between neighboring pixels, widened by the slope, is a step.
 constexpr double most_step_gsd = 6.0;
+/// Usual limit of a surface's sigma, in GSD and in standard deviations of a point of the prior; the larger one counts.
+constexpr double usual_limit = 4.0;
+/// Errors of depth are alike over this share of the length that the prior was smoothed over (decision 121).
+constexpr double shared_part = 0.5;
 
 Eigen::Vector3d normal_in_cam(const FusedSurface& surface, int u, int v) {
   return Eigen::Map<const Eigen::Vector3f>(&surface.normals(u, v)).cast<double>();
@@ -120,12 +124,13 @@ ViewMaps view_maps(const FusedSurface& surface, double most_sigma_gsd, const Con
   return maps;
 }
 
-ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps) {
+ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps, double shared_px) {
   ObjectView view;
   view.name = std::move(name);
   view.camera = surface.camera;
   view.pose = surface.pose;
   view.gsd = view.usual_sigma = median_gsd(surface);
+  view.shared_px = shared_px;
   view.depth = surface.depth;
   view.normals = maps.normals;
   view.sigma = maps.sigma;
@@ -143,6 +148,14 @@ double median_gsd(const FusedSurface& surface) {
     if (is_known(surface, u, v)) known.push_back(gsd_at(surface, u, v));
   });
   return percentile_in_place(known, 0.5);
+}
+
+double most_sigma_gsd(double gsd, double prior_noise) {
+  return usual_limit * std::max(1.0, prior_noise / gsd);
+}
+
+double shared_px(double smoothing_px) {
+  return std::max(1.0, shared_part * smoothing_px);
 }
 
 double usual_sigma(const ObjectView& view) {

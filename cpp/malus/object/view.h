@@ -66,11 +66,17 @@ struct ViewMaps {
 /// from a step in depth) and not seen flatter than 80 degrees, and if its sigma is below `most_sigma_gsd` GSD.
 ViewMaps view_maps(const FusedSurface& surface, double most_sigma_gsd, const Context& context);
 
-/// A station's view. The surface and its maps must outlive it.
-ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps);
+/// A station's view; `shared_px` as in ObjectView. The surface and its maps must outlive the view.
+ObjectView object_view(std::string name, const FusedSurface& surface, const ViewMaps& maps, double shared_px);
 
 /// Median of depth over focal length where the surface is known: the GSD of the station; NaN if it is known nowhere.
 double median_gsd(const FusedSurface& surface);
+/// The usual limit for `view_maps`: four GSD or, if that is more, four standard deviations of a point of the station's
+/// prior (DepthPrior::noise, station unit), which does not become surer with smaller pixels.
+double most_sigma_gsd(double gsd, double prior_noise);
+/// What ObjectView::shared_px is to be, from the length over which the station's prior was smoothed
+/// (DepthPrior::smoothing_px; decision 121).
+double shared_px(double smoothing_px);
 /// What ObjectView::usual_sigma is to be, from the view's rasters and its GSD.
 double usual_sigma(const ObjectView& view);
 

@@ -95,10 +95,4 @@ std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point,
   return Sight{at->u, at->v, cosine};
 }
 
-Eigen::AlignedBox3d box_of(std::span<const Eigen::Vector3d> points) {
-  Eigen::AlignedBox3d box;
-  for (const Eigen::Vector3d& point : points) box.extend(point);
-  return box;
-}
-
 }  // namespace malus

@@ -3,7 +3,6 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <optional>
-#include <span>
 
 #include "malus/object/view.h"
 
@@ -68,7 +67,12 @@ struct Sight {
 /// Where a view has measured a place with this normal: its surface is at most four standard deviations away.
 std::optional<Sight> sight(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal);
 
-/// Box about some points.
-Eigen::AlignedBox3d box_of(std::span<const Eigen::Vector3d> points);
+/// Box about a range of points.
+template <class Points>
+Eigen::AlignedBox3d box_of(const Points& points) {
+  Eigen::AlignedBox3d box;
+  for (const Eigen::Vector3d& point : points) box.extend(point);
+  return box;
+}
 
 }  // namespace malus

@@ -178,7 +178,7 @@ struct PriorOptions {
   static void fields(Self& self, Visitor&& visit) {
     visit("sigma", self.sigma, Range{1e-12, 1e12},
           "standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the "
-          "station file, else measured (cloud) or raster_sigma_gsd (others)");
+          "station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map); required for a shape");
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = "
           "estimated from the cloud's noise and density");
@@ -202,7 +202,8 @@ struct PriorOptions {
           "steepest slope that a visible surface can have, in degrees; points that lie deeper behind the points around "
           "them count as hidden");
     visit("min_points", self.min_points, Range{3, 1e9},
-          "the run ends with an error if fewer points of the cloud are visible on the object");
+          "the run ends with an error if fewer points of the cloud, or pixels of another prior, are visible on the "
+          "object");
     visit("raster_sigma_gsd", self.raster_sigma_gsd, Range{1e-6, 1e6},
           "standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated");
     visit("correlated_noise", self.correlated_noise, Range{0, 10},
@@ -211,8 +212,9 @@ struct PriorOptions {
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
           "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
     visit("hole_slope", self.hole_slope, not_negative,
-          "growth of the depth's standard deviation inside holes of a depth map, a mesh or a shape, in GSD per px from "
-          "the rim: unseen parts, such as highlights, may deviate from their surroundings");
+          "growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (of a cloud: "
+          "from two point spacings off the nearest point on): unseen parts, such as highlights, may deviate from their "
+          "surroundings");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in "
           "overlapping tiles");

@@ -96,23 +96,23 @@ std::string contradiction(const FrameEstimate& surface) {
         << surface.coherence.direct << " as the file has it, " << surface.coherence.opposite << " the other way, "
         << with_digits(-surface.coherence.ahead(), 2)
         << " standard deviations apart); expected angle_direction = \"cw\" where the file says \"ccw\" or nothing, "
-           "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 exchanged), unless the prior itself is "
+           "\"ccw\" where it says \"cw\" (in a mosaic, 45 and 135 or 0 and 90 exchanged), unless the prior itself is "
            "mirrored, or the camera set the exposure of each image automatically";
   } else if (surface.limits.is_off_by_quarter()) {
     text << "[polarized] angle_zero_deg is off by 90°: " << with_digits(100 * surface.limits.beyond, 2)
          << " % of the steep places are polarized along the slope more than any reflection can, "
          << with_digits(100 * surface.limits.beyond_turned, 2)
-         << " % if the scale is turned by 90°; expected angle_zero_deg 90 larger";
+         << " % if the scale is turned by 90°; expected angle_zero_deg 90 larger (in a mosaic, as a file that was "
+            "rotated needs, 0 and 90 exchanged and 45 and 135 exchanged)";
   }
   return text.str();
 }
 
-/// Warnings about a known scale that a person should check, though nothing contradicts the scale beyond doubt.
-std::vector<std::string> doubts(const FrameEstimate& surface) {
+/// Why a person should check a known scale, though nothing contradicts it beyond doubt; empty if nothing asks for it.
+std::string doubt_of_zero(const FrameEstimate& surface) {
   if (!surface.limits.looks_off_by_quarter()) return {};
-  return {
-      "the polarization lies across the slopes of the prior everywhere, yet is as weak as that of diffuse reflection, "
-      "which lies along them: is angle_zero_deg off by 90°?"};
+  return "the polarization lies across the slopes of the prior everywhere, yet is as weak as that of diffuse "
+         "reflection, which lies along them: is angle_zero_deg off by 90°?";
 }
 
 }  // namespace
@@ -134,7 +134,7 @@ PolarizerCalibration calibration_without_surface(const PolarizerFit& fit, bool f
 }
 
 CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
-                                const FrameEstimate& surface, const PolarizerOptions& options) {
+                                const FrameEstimate& surface, const PolarizerOptions& options, bool fixed_angles) {
   CalibratedFrame result;
   PolarizerCalibration& calibration = result.calibration;
   calibration = calibration_without_surface(fit, from_images, true);
@@ -157,9 +157,11 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
 
   if (known_scale) {
     const std::string wrong = contradiction(surface);
-    if (!wrong.empty() && options.calibrate_angles != AngleCalibration::off) throw input_error(wrong);
-    calibration.warnings = wrong.empty() ? doubts(surface) : std::vector{wrong};
-    if (!wrong.empty()) return result;
+    calibration.is_contradicted = !wrong.empty();
+    if (calibration.is_contradicted && options.calibrate_angles != AngleCalibration::off) throw input_error(wrong);
+    calibration.doubt = calibration.is_contradicted ? wrong : doubt_of_zero(surface);
+    if (!calibration.doubt.empty()) calibration.warnings.push_back(calibration.doubt);
+    if (calibration.is_contradicted) return result;
   }
 
   // The frame as a linear Gaussian estimate: nominal values (b = 0, turn = 0) against the surface's.
@@ -180,7 +182,7 @@ CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool 
   const bool significant = knows_zero(surface.coherence) &&
                            zero_error_deg > options.min_significance * calibration.zero_error_sigma_deg &&
                            zero_error_deg > small_zero_error_deg;
-  const bool only_check = options.calibrate_angles == AngleCalibration::off;
+  const bool only_check = fixed_angles || options.calibrate_angles == AngleCalibration::off;
   if (known_scale && significant) {
     calibration.warnings.push_back(std::string("the zero of the polarizer's scale contradicts the surface") +
                                    (only_check ? "" : " and is corrected") + ": angles as read are " +

@@ -22,13 +22,15 @@ struct CalibratedFrame {
 /// The Stokes vectors were computed with fit.angles_rad and gains; `from_images`: these are fitted, not nominal,
 /// values. A known scale is turned only if its zero is off by more than options.min_significance standard deviations
 /// and more than half a degree, whatever else is calibrated. With AngleCalibration::automatic and nominal angles
-/// nothing but that zero is corrected; with `off` nothing is.
+/// nothing but that zero is corrected; with `off`, or `fixed_angles` (of a polarization camera, in its sensor), nothing
+/// is.
 ///
 /// Throws an input error that says how to correct the station file if the scale certainly counts the other way, or its
-/// zero is certainly off by 90°; with `off` these are warnings. Throws a data error if the scale is unknown and the
-/// surface cannot determine it.
+/// zero is certainly off by 90°; with `off` these are warnings and the calibration's `doubt`. Throws a data error if
+/// the scale is unknown and the surface cannot determine it.
 CalibratedFrame calibrate_frame(const PolarizerFit& fit, bool from_images, bool known_scale,
-                                const FrameEstimate& surface, const PolarizerOptions& options);
+                                const FrameEstimate& surface, const PolarizerOptions& options,
+                                bool fixed_angles = false);
 
 /// The calibration when there is no surface to compare with.
 PolarizerCalibration calibration_without_surface(const PolarizerFit& fit, bool from_images, bool known_scale);

@@ -67,11 +67,15 @@ struct PolarizerCalibration {
   /// Coherence of phases and azimuths (PhaseCoherence) for the stated direction of the scale and for the opposite one.
   /// `direction_sigmas`: the difference in standard deviations; a negative value contradicts angle_direction.
   double coherence = 0, coherence_opposite = 0, direction_sigmas = 0;
-  std::vector<std::string> warnings;
+  /// Why a known scale may be wrong as a whole, though it is used; empty = nothing speaks against it.
+  std::string doubt;
+  bool is_contradicted = false;       ///< the scale is certainly wrong; else the doubt is a question
+  std::vector<std::string> warnings;  ///< `doubt` is the first
 
   MALUS_FIELDS(from_images, from_surface, angles_deg, angles_sigma_deg, gains, gains_sigma, residual_before,
                residual_after, surface_check, zero_error_deg, zero_error_sigma_deg, scene_polarization,
-               scene_polarization_sigma, coherence, coherence_opposite, direction_sigmas, warnings)
+               scene_polarization_sigma, coherence, coherence_opposite, direction_sigmas, doubt, is_contradicted,
+               warnings)
 };
 
 }  // namespace malus

@@ -93,7 +93,7 @@ bool exceeds_diffuse(const PolarizationState& state, const ReflectionOptions& op
 
 void validate(const PolarizationState& state, const Image<float>* prior_normals, const Image<std::uint8_t>* labels,
               const ReflectionOptions& options) {
-  validate_fields(options, "optics");
+  validate_fields(options, "reflection");
   accepted_refractive_index(options.refractive_index, "optics.refractive_index");
   if (prior_normals != nullptr) {
     require_size(*prior_normals, state.size(), "prior normals");

@@ -179,7 +179,10 @@ ProjectedCloud project(const PointCloud& cloud, const Pinhole& camera, const Pos
   });
   for (const PointCensus& counted : counts) census += counted;
   for (std::size_t block = 1; block < depths.size(); ++block) depths.front().add(depths[block]);
-  census.reversed = !depths.empty() && depths.front().are_reversed(camera.focal());
+  if (!depths.empty()) {
+    census.reversed = depths.front().are_reversed(camera.focal());
+    census.away_only = depths.front().away_only();
+  }
   return projected;
 }
 

@@ -78,6 +78,18 @@ void require_points(const VisiblePoints& visible, const PriorOptions& options) {
   throw data_error(message.str());
 }
 
+/// Warns if much of the object has only points that face away: programs that orient normals may fail on single patches.
+void warn_of_turned_patches(const PointCensus& census, const Context& context) {
+  // Right clouds of rendered stations have 0.002 at most, also that of a figurine, a third of whose points face away.
+  constexpr double much = 0.1;
+  if (census.away_only <= much) return;
+  context.log(LogLevel::warning,
+              "prior cloud: on " + percent(census.away_only) +
+                  " of the places where it has points all their normals point away from the camera, so that none of "
+                  "these points is used: orient the normals or export the cloud without them, unless it shows only the "
+                  "object's back there");
+}
+
 /// Subtracts a surface's height and slope from a point.
 void lower(ViewPoint& point, double height, const Eigen::Vector2d& slope) {
   point.height -= static_cast<float>(height);
@@ -123,15 +135,18 @@ class ReferencePlane {
   Eigen::Vector3d plane_;
 };
 
-/// Share of object pixels farther than `distance_px` from every point.
-double far_fraction(const Mask& mask, std::span<const ViewPoint> points, double distance_px) {
-  Mask free(mask.size(), 1, 1);
-  for (const ViewPoint& p : points) free(pixel_of(p.u, mask.width()), pixel_of(p.v, mask.height())) = 0;
+/// Distance of each pixel from the nearest point, in px.
+cv::Mat distance_from_points(Size size, std::span<const ViewPoint> points) {
+  Mask free(size, 1, 1);
+  for (const ViewPoint& p : points) free(pixel_of(p.u, size.width), pixel_of(p.v, size.height)) = 0;
   cv::Mat distance;
   cv::distanceTransform(as_mat(free), distance, cv::DIST_L2, cv::DIST_MASK_5);
-  std::size_t far = 0;
-  for_each_pixel(mask, [&](int u, int v) { far += distance.at<float>(v, u) > distance_px; });
-  return static_cast<double>(far) / static_cast<double>(count_of_set(mask));
+  return distance;
+}
+
+/// Share of object pixels farther than `distance_px` from every point.
+double far_fraction(const Mask& mask, const cv::Mat& from_points, double distance_px) {
+  return mean_over(mask, [&](int u, int v) { return from_points.at<float>(v, u) > distance_px ? 1.0 : 0.0; });
 }
 
 struct Surface {
@@ -501,13 +516,17 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   warn_if_rounded(cloud, camera, pose, "prior cloud", context);
   VisiblePoints visible = visible_points(cloud, camera, pose, mask, options, context);
   require_points(visible, options);
+  warn_of_turned_patches(visible.census, context);
   const ReferencePlane plane(visible.points);
   for (ViewPoint& p : visible.points) lower(p, plane.at(p.u, p.v), plane.slope());
   context.progress("prior", 0.15, "choosing the smoothing");
   const Smoothing how = smoothing_for(visible, mask, options, context);
   context.progress("prior", 0.3, "smoothing the cloud");
   DepthPrior prior = empty_prior(camera, pose);
-  prior.filled_fraction = far_fraction(mask, visible.points, 2 * visible.spacing_px);
+  // Farther than this from every point the surface is interpolated.
+  const double near_px = 2 * visible.spacing_px;
+  const cv::Mat from_points = distance_from_points(mask.size(), visible.points);
+  prior.filled_fraction = far_fraction(mask, from_points, near_px);
   const Surface surface = smooth_cloud(std::move(visible.points), mask, how, options, context);
   const double focal = camera.focal();
   // Computed points may lie exactly in a plane; weights by a sigma of zero would be infinite.
@@ -519,7 +538,10 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   parallel_pixels(context, mask, [&](int u, int v) {
     const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
     prior.depth(u, v) = static_cast<float>(depth);
-    prior.sigma(u, v) = static_cast<float>(noise * std::sqrt(surface.variance(u, v) + shared2) * depth / focal);
+    // The spline's variance is that of a surface as smooth as a hole's rim.
+    const double hole = options.hole_slope * std::max(from_points.at<float>(v, u) - near_px, 0.0);
+    prior.sigma(u, v) =
+        static_cast<float>(std::hypot(noise * std::sqrt(surface.variance(u, v) + shared2), hole) * depth / focal);
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
@@ -617,6 +639,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   // part.
   PriorOptions of_windows = options;
   of_windows.keep_raised = false;
+  of_windows.hole_slope = 0;  // holes are those of the map, below
   DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
   const cv::Mat distance = distance_from_known(depth);
   prior.filled_fraction = measured.filled_fraction;

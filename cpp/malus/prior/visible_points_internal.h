@@ -43,6 +43,7 @@ struct PointCensus {
   std::size_t total = 0, behind = 0, outside = 0, off_object = 0, facing_away = 0, hidden = 0, outliers = 0;
   std::size_t used = 0;   ///< cloud points that were averaged into the kept view points
   bool reversed = false;  ///< whether points that face away hide those that face the camera: normals point inwards
+  double away_only = 0;   ///< share of the places with points on the object where all face away
 };
 
 struct VisiblePoints {

@@ -28,7 +28,7 @@ namespace {
 /// Adds a finding's warning and limits the confidence, as a run would.
 void warn(Plan& plan, const Finding& finding) {
   plan.warnings.push_back(finding.text());
-  if (finding.severity >= Severity::warning) plan.confidence.limit(ConfidenceLevel::low, finding.text());
+  InputEvidence{{finding}}.limit(plan.confidence);
 }
 
 std::string with_count(std::size_t count, const std::string& noun) {
@@ -76,9 +76,9 @@ void read_images(const Station& station, const Mask& object, const CaptureOption
 
 /// The points (world frame) that fall on the object, in the camera frame.
 std::vector<Eigen::Vector3d> points_on_object(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera,
-                                              const Mask& object) {
+                                              const Mask& object, const Context& context) {
   std::vector<Eigen::Vector3d> found;
-  for (const SeenPoint& point : seen_points(points, camera, object.size())) {
+  for (const SeenPoint& point : seen_points(points, camera, object.size(), context)) {
     if (object(static_cast<int>(std::lround(point.u)), static_cast<int>(std::lround(point.v))) != 0)
       found.push_back(point.in_cam);
   }
@@ -99,7 +99,7 @@ struct PriorCheck {
 
   std::string operator()(std::monostate) const { return "from the photos"; }
   std::string operator()(const PointCloud& cloud) const {
-    const std::vector<Eigen::Vector3d> found = points_on_object(cloud.points, *station.file.camera, object);
+    const std::vector<Eigen::Vector3d> found = points_on_object(cloud.points, *station.file.camera, object, context);
     const std::string share =
         with_count(found.size(), "of the cloud's ") + with_count(cloud.points.size(), "points fall on the object");
     if (static_cast<double>(found.size()) < options.min_points) {
@@ -153,7 +153,7 @@ struct PriorCheck {
     constexpr double most_points = 1e5, fewest_points = 2000;
     const CameraSpec& camera = *station.file.camera;
     const auto found_at = [&](int every) {
-      return points_on_object(points_of_depth(depth, camera, every), camera, object);
+      return points_on_object(points_of_depth(depth, camera, every), camera, object, context);
     };
     const auto pixels_of = [](const std::vector<Eigen::Vector3d>& points, int every) {
       return static_cast<double>(points.size()) * every * every;

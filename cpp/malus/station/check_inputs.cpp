@@ -4,10 +4,29 @@
 #include <optional>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/core/parallel_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/station/check_inputs_internal.h"
 
 namespace malus {
+namespace {
+
+/// What `choose(element, take)` takes from the elements, in their order.
+template <class Element, class Choose>
+std::vector<SeenPoint> chosen(const std::vector<Element>& elements, const Context& context, Choose&& choose) {
+  constexpr std::size_t block = 1 << 14;
+  std::vector<std::vector<SeenPoint>> parts((elements.size() + block - 1) / block);
+  parallel_for(context, elements.size(), block, [&](std::size_t begin, std::size_t end) {
+    std::vector<SeenPoint>& part = parts[begin / block];
+    const auto take = [&](const SeenPoint& point) { part.push_back(point); };
+    for (std::size_t i = begin; i < end; ++i) choose(elements[i], take);
+  });
+  std::vector<SeenPoint> all;
+  for (const std::vector<SeenPoint>& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
+}  // namespace
 
 CaptureInput make_capture_input(const Station& station) {
   const std::optional<LensCamera> lens = station.file.known_lens();
@@ -67,21 +86,26 @@ const CameraSpec& require_camera(const StationFile& station) {
       ": [camera] has no pose, expected a camera whose position is known (a COLMAP model, or qvec and tvec)");
 }
 
-std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image) {
-  constexpr double same_direction = 1e-6;
-  const bool has_distortion = camera.lens.has_distortion();
-  std::vector<SeenPoint> found;
-  for (const Eigen::Vector3d& point : points) {
+std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image,
+                                   const Context& context, std::size_t most) {
+  std::vector<SeenPoint> found = chosen(points, context, [&](const Eigen::Vector3d& point, auto&& take) {
     const Eigen::Vector3d x = camera.pose.cam_from_world(point);
-    if (!(x.z() > 0)) continue;
-    const Eigen::Vector2d ideal = x.hnormalized();
-    const Eigen::Vector2d pixel = camera.lens.distort(ideal);
-    if (!(pixel.minCoeff() > -0.5 && pixel.x() < image.width - 0.5 && pixel.y() < image.height - 0.5)) continue;
-    // Far outside of the view the polynomials of a lens bend back: they send the room beside an object into its image.
-    if (has_distortion && !((camera.lens.undistort(pixel) - ideal).norm() < same_direction)) continue;
-    found.push_back({x, pixel.x(), pixel.y()});
+    if (!(x.z() > 0)) return;
+    const Eigen::Vector2d pixel = camera.lens.distort(x.hnormalized());
+    if (!(pixel.minCoeff() > -0.5 && pixel.x() < image.width - 0.5 && pixel.y() < image.height - 0.5)) return;
+    take({x, pixel.x(), pixel.y()});
+  });
+  if (const std::size_t stride = found.size() / most + 1; stride > 1) {
+    for (std::size_t i = 0; i * stride < found.size(); ++i) found[i] = found[i * stride];
+    found.resize((found.size() + stride - 1) / stride);
   }
-  return found;
+  if (!camera.lens.has_distortion()) return found;
+  // Far outside of the view the polynomials of a lens bend back: they send the room beside an object into its image.
+  return chosen(found, context, [&](const SeenPoint& point, auto&& take) {
+    constexpr double same_direction = 1e-6;
+    const Eigen::Vector2d back = camera.lens.undistort({point.u, point.v});
+    if ((back - point.in_cam.hnormalized()).norm() < same_direction) take(point);
+  });
 }
 
 std::vector<Eigen::Vector3d> points_of_depth(const Image<float>& depth, const CameraSpec& camera, int stride) {

@@ -3,6 +3,8 @@
 // Private to the station room: data of a station that a check reads before anything is computed.
 
 #include <Eigen/Core>
+#include <cstddef>
+#include <limits>
 #include <vector>
 
 #include "malus/capture/capture_internal.h"
@@ -37,8 +39,10 @@ struct SeenPoint {
   double u = 0, v = 0;  ///< in the image as taken, inside it
 };
 
-/// Those of the points (world frame) that lie in front of the camera and that its lens sees in the image.
-std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image);
+/// Those of the points (world frame) that lie in front of the camera and that its lens sees in the image, in their
+/// order; of more than `most`, every k-th.
+std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image,
+                                   const Context& context, std::size_t most = std::numeric_limits<std::size_t>::max());
 
 /// World points of a depth map in the station's undistorted view: pixels of every `stride`-th row and column that have
 /// a depth.

@@ -46,9 +46,7 @@ CheckPicture check_picture(const Station& station, const Context& context) {
   if (!station.file.camera) return picture;
   const CameraSpec& camera = *station.file.camera;
   const auto points = with_prior(station, context, PointsInView{camera});
-  const std::vector<SeenPoint> seen = seen_points(points, camera, picture.image.size());
-  for (std::size_t i = 0; i < seen.size(); i += seen.size() / most_points + 1) {
-    const SeenPoint& point = seen[i];
+  for (const SeenPoint& point : seen_points(points, camera, picture.image.size(), context, most_points)) {
     picture.points.emplace_back(static_cast<float>(point.u), static_cast<float>(point.v),
                                 static_cast<float>(point.in_cam.z()));
   }

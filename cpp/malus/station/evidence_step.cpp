@@ -46,20 +46,21 @@ void InputEvidence::limit(Confidence& confidence) const {
 InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
                            const StationView& view, const Scene& scene, const DepthPrior* prior) {
   InputEvidence evidence{of_images.findings};
+  // What is known of images and polarizer was said by the steps that found it.
+  if (const PolarizerCalibration& scale = polarization.polarizer; !scale.doubt.empty()) {
+    // Weak mirror reflections raise the question at right scales, too.
+    const Severity severity = scale.is_contradicted ? Severity::warning : Severity::caution;
+    evidence.findings.push_back(Finding{"scale", severity, scale.doubt, "", {}});
+  }
   if (prior != nullptr) {
     for (Finding& finding : compare_with_prior(job, *polarization.state, view, scene, *prior, of_images)) {
-      if (finding.severity == Severity::caution) job.context.log(LogLevel::warning, finding.text());
+      if (finding.severity == Severity::error && job.options.evidence.refuse)
+        throw input_error(finding.text() + " (with evidence.refuse = false the run continues)");
+      if (finding.severity != Severity::note) job.context.log(LogLevel::warning, finding.text());
       evidence.findings.push_back(std::move(finding));
     }
   }
   std::ranges::stable_sort(evidence.findings, std::ranges::greater(), &Finding::severity);
-  for (const Finding& finding : evidence.findings) {
-    // Cautions about the images were logged by the steps that found them, because those can run without this step.
-    if (finding.severity <= Severity::caution) continue;
-    if (finding.severity == Severity::error && job.options.evidence.refuse)
-      throw input_error(finding.text() + " (with evidence.refuse = false the run continues)");
-    job.context.log(LogLevel::warning, finding.text());
-  }
   return evidence;
 }
 

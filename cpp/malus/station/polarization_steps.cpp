@@ -210,13 +210,12 @@ CalibratedFrame compare_with_surface(const Job& job, const MeasuredPolarization&
   const bool known_scale = polarized.angles_deg.has_value();
   if (prior == nullptr)
     return {calibration_without_surface(measured.polarizer, measured.polarizer_fitted, known_scale)};
-  PolarizerOptions known = job.options.polarizer;
-  // The angles of a polarization camera are fixed in its sensor.
-  if (polarized.mosaic) known.calibrate_angles = AngleCalibration::off;
+  const PolarizerOptions& options = job.options.polarizer;
   const Image<float> normals = normals_from_depth(prior->depth, view.camera, job.context);
   const FrameHints hints = frame_hints(job, *measured.state, view, normals);
-  const FrameEstimate surface = estimate_frame(*measured.state, &view.camera, normals, hints, known, job.context);
-  return calibrate_frame(measured.polarizer, measured.polarizer_fitted, known_scale, surface, known);
+  const FrameEstimate surface = estimate_frame(*measured.state, &view.camera, normals, hints, options, job.context);
+  return calibrate_frame(measured.polarizer, measured.polarizer_fitted, known_scale, surface, options,
+                         polarized.mosaic.has_value());
 }
 
 }  // namespace
@@ -227,9 +226,17 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
   const PolarizedSpec& polarized = job.station.file.polarized;
   ImageFindings of_images;
+  // Said here and not by the step that judges all findings, because a run may end before that step or have no use for
+  // it.
+  const auto add = [&](Finding found) {
+    if (found.severity != Severity::note) context.log(LogLevel::warning, found.text());
+    of_images.findings.push_back(std::move(found));
+  };
+  const auto add_if_any = [&](std::optional<Finding> found) {
+    if (found) add(*std::move(found));
+  };
   // Angles that are estimated from the images follow the images' order, which therefore need not be checked.
-  if (polarized.angles_deg)
-    of_images.findings.push_back(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
+  if (polarized.angles_deg) add(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
   const auto check_linear = [&] {
     return check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding;
   };
@@ -239,7 +246,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   const std::optional<Finding> angles = fit_polarizer_of(stack, polarized, options.polarizer, measured, context);
   Finding response = check_linear();
   if (as_read) response = response_finding(*as_read, response);
-  of_images.findings.push_back(response);
+  add(response);
   for (Finding finding : job.station.file_findings) {
     // The measured response is stronger evidence than metadata that a program wrote into a file. It does not tell one
     // display's curve from another's.
@@ -248,27 +255,22 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
       finding.message += "; the measured brightness shows that this is right";
       finding.suggestion.clear();
     }
-    of_images.findings.push_back(std::move(finding));
+    add(std::move(finding));
   }
   auto state = std::make_shared<PolarizationState>(decompose(stack.images, stack.angles_rad, stack.noise, stack.mask,
                                                              stack.saturated, options.polarization, context));
   const bool moved =
       std::ranges::any_of(stack.image_from_base, [](const Affine& map) { return map != identity_affine(); });
   if (moved) smooth_polarization(*state, context);
-  // No warning here: each unregistered image was already reported.
+  // Not said: each unregistered image was already reported.
   if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
-  const auto warn = [&](std::optional<Finding> found) {
-    if (!found) return;
-    context.log(LogLevel::warning, found->text());
-    of_images.findings.push_back(*std::move(found));
-  };
-  warn(angles);
+  add_if_any(angles);
   if (!stack.shared.empty()) {
     add_interpolation_error(*state, stack.shared, context);
-    warn(caution_of_texture(*state));
+    add_if_any(caution_of_texture(*state));
   }
-  warn(finding_of_misfits(*state));
-  warn(caution_of_no_polarization(*state));
+  add_if_any(finding_of_misfits(*state));
+  add_if_any(caution_of_no_polarization(*state));
   measured.curves = pixel_curves(*state, stack.images, stack.angles_rad, job.station.file.polarized.curve_pixels);
   measured.state = std::move(state);
   Scene scene;

@@ -7,6 +7,7 @@
 #include "malus/assess/assessed_confidence_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/length_unit_internal.h"
+#include "malus/evidence/prior_alignment_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
@@ -58,12 +59,27 @@ struct PriorMaker {
   DepthPrior operator()(const T& source) const {
     return project_prior(source, camera, pose, mask, options, job.context);
   }
+  DepthPrior operator()(const TriangleMesh& mesh) const { return made_of(mesh, mesh.vertices); }
   DepthPrior operator()(const PointCloud& cloud) const {
-    DepthPrior prior = project_prior(cloud, camera, pose, mask, options, job.context);
+    DepthPrior prior = made_of(cloud, cloud);
     points.map = seen_points(cloud, prior);
     return prior;
   }
   DepthPrior operator()(std::monostate) const { throw std::logic_error("a prior is made of nothing"); }
+
+ private:
+  /// The prior of a source with these points (world frame). If they miss the object, the error says why they may.
+  template <class T>
+  DepthPrior made_of(const T& source, const PointCloud& its_points) const {
+    try {
+      return project_prior(source, camera, pose, mask, options, job.context);
+    } catch (const Error& error) {
+      if (error.code() != ErrorCode::data) throw;
+      const std::string why = why_cloud_misses(its_points, pose, camera, mask, job.station.file.unit);
+      if (why.empty()) throw;
+      throw data_error(std::string(error.what()) + "; " + why);
+    }
+  }
 };
 
 /// Logs the fusion's warnings like all warnings, and limits the confidence by the findings about the inputs.

@@ -27,13 +27,11 @@ std::optional<double> share_at(const Json& quality, const std::string& path) {
 
 /// How much of the surface is finer than the prior.
 std::string origin_of_detail(const Json& quality) {
-  const std::optional<double> trusted = share_at(quality, "/refinement/trusted_share");
-  if (!trusted) return "detail from polarization everywhere, which nothing proves";
-  // That is a share of the pixels with usable polarization; on the others nothing finer than the prior is known.
-  const double share = *trusted * share_at(quality, "/polarization/valid_fraction").value_or(1);
-  if (share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
-  if (share >= refined_everywhere) return "detail from polarization on nearly all of the object";
-  return "detail from polarization on " + percent(share) + " of the object, elsewhere the prior's surface, no finer";
+  const std::optional<double> share = refined_share(quality);
+  if (!share) return "detail from polarization everywhere, which nothing proves";
+  if (*share < refined_nowhere) return "the surface is the prior's (the coarse surface it was made from), no finer";
+  if (*share >= refined_everywhere) return "detail from polarization on nearly all of the object";
+  return "detail from polarization on " + percent(*share) + " of the object, elsewhere the prior's surface, no finer";
 }
 
 /// The fields of [object] that are not empty.
@@ -46,6 +44,16 @@ Json catalogue_of(const Json& quality) {
 }
 
 }  // namespace
+
+std::optional<double> refined_share(const Json& quality) {
+  const std::optional<double> trusted = share_at(quality, "/refinement/trusted_share");
+  if (!trusted) return std::nullopt;
+  // That is a share of the pixels whose polarization was used. These are the valid ones, with a map of the surroundings
+  // without those that mirror the object itself; on the others nothing finer than the prior is known.
+  const double valid = share_at(quality, "/polarization/valid_fraction").value_or(1);
+  const double left_out = share_at(quality, "/refinement/surroundings/self_mirroring_share").value_or(0);
+  return *trusted * valid * (1 - left_out);
+}
 
 Json surface_words(const Json& quality) {
   const Json& confidence = quality.at("confidence");

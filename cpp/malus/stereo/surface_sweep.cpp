@@ -292,9 +292,11 @@ class SurfaceSweep {
     result_.views_used = static_cast<int>(level_.views.size());
     result_.halves_compared = level_.views.size() >= 3;
     if (!result_.halves_compared) {
-      context_.log(LogLevel::warning, "surface sweep: " + std::to_string(result_.views_used) +
-                                          " usable photo(s): no disjoint halves to compare, sigma is a guess from the "
-                                          "correlation; at least 3 photos are needed, 8 or more are good");
+      context_.log(LogLevel::warning,
+                   "surface sweep: " + std::to_string(result_.views_used) +
+                       " usable photo(s): too few photos to compare two groups of them; the standard "
+                       "deviation is only estimated from the correlation; at least 3 photos are "
+                       "needed, 8 or more are good");
     }
     judge_pass();
     // If most of the surface shows mirror images, highlights do not stand out, so they are not searched.

@@ -5,7 +5,7 @@ The library (cpp/malus/object) computes them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +57,7 @@ class Agreement:
     """Distances of the other stations' surfaces from the surface of one station, along this station's normals.
 
     view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other station measured.
-    distances, expected: N each, single distances and their standard deviations; for a large station only those of every n-th pixel.
+    distances, expected: N each, single distances and their standard deviations; if there are millions, only those of every n-th pixel.
     """
 
     view: str
@@ -88,7 +88,7 @@ def object_points(
     views: Sequence[View], clouds: Sequence[OrientedPoints], *, threads: int = ALL_CORES
 ) -> OrientedPoints:
     """Points of the object's surface: means over the stations (`combine`), and points of stereo's clouds where no station measured
-    (`unseen_stereo`), both without outliers and without points beside those of a station with smaller pixels.
+    (`unseen_stereo`). Means beside those of a station with smaller pixels are left out, and so are outliers of both.
     """
     return OrientedPoints(
         *_core.object_points([view.core for view in views], [cloud.arrays() for cloud in clouds], threads)
@@ -108,11 +108,10 @@ def unseen_stereo(
     return OrientedPoints(*kept)
 
 
-def scales_of(views: Sequence[View]) -> list[float]:
-    """Side of each view's pixels in GSD of the object, the median of the views', within what the lattice can show; 1 if it differs from
-    that by less than a quarter.
-    """
-    return _core.scales_of([view.gsd for view in views])
+def agreements_of(views: Sequence[View], *, threads: int = ALL_CORES) -> Iterator[Agreement]:
+    """Agreement with each view as `combine` gives it, one after the other: those of many large stations do not fit into memory together."""
+    for which in range(len(views)):
+        yield Agreement(*_core.agreement([view.core for view in views], which, threads))
 
 
 def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:

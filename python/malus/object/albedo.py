@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from malus.albedo import albedo_of
 from malus.errors import DataError
 from malus.object.arrays import on_disk
@@ -40,8 +38,7 @@ class Albedos:
                 unknown[view.name] = str(error).replace(str(stations / view.name), view.name)
                 continue
             known.append(view)
-            # Pixels without a surface are never used, but NaN times zero weight would still make a sum NaN.
-            images.append(on_disk(np.nan_to_num(albedo.astype(np.float32)), scratch / view.name))
+            images.append(on_disk(albedo, scratch / view.name))
         return Albedos(known, images, unknown)
 
     def paint(self, mesh: ObjectMesh) -> Paint | None:

@@ -19,6 +19,8 @@ _WHITE_PERCENTILE = 99.5
 _SAMPLE = 200000
 #: A place that no station sees (between rims) gets the color of the nearest seen place within this many GSD.
 _LENT_GSD = 10.0
+#: If only each n-th place is searched, the nearest one may be farther away by this many times the square root of n - 1 GSD.
+_APART_GSD = 2.0
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,7 @@ class Paint:
         if not len(known):
             return Paint(views, pictures, gains, 1.0, np.full(colors.shape[2], 0.5), None)
         white = max(float(np.percentile(known, _WHITE_PERCENTILE)), 1e-12)
-        # If only each n-th place is used, seen places lie farther apart.
-        reach = _LENT_GSD * float(np.median([view.gsd for view in views])) * math.sqrt(every)
+        reach = (_LENT_GSD + _APART_GSD * math.sqrt(every - 1)) * float(np.median([view.gsd for view in views]))
         lent = _Lent(scipy("spatial").cKDTree(points[some][seen]), known, reach)
         return Paint(views, pictures, gains, white, np.median(known, axis=0), lent)
 

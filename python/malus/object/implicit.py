@@ -50,8 +50,6 @@ _NEIGHBORS = 4
 _NODE_BITS, _AXIS_BITS = 20, 2
 #: A vertex nearer to a node than half of this share of an edge lies on the node: a number of its own instead of an axis.
 _AT_NODE, _SHARE_AT_NODE = 3, 1 / 256
-#: The cells that these bits can name, along each axis.
-MOST_CELLS = 1 << (_NODE_BITS - FINEST)
 
 
 @dataclass(frozen=True)
@@ -157,8 +155,8 @@ def distance_field(
 def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Iterator[Piece]:
     """The surface through the points on a lattice of this cell size, one piece for each block, x ascending; `joined_mesh` joins them.
 
-    Vertices on the side between two blocks are in both pieces. DataError if there are no points, or if they spread over more than
-    MOST_CELLS cells.
+    Vertices on the side between two blocks are in both pieces. DataError if there are no points, or if they spread over more cells than
+    can be numbered: 1 048 576, or half, a quarter or an eighth of it if cells are halved once, twice or three times.
     """
     measure = extra("skimage.measure", "scikit-image", "the surface of an object", "object")
     if not len(points.points):
@@ -169,9 +167,10 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
     coarsest = 1.0 if points.scale is None else max(1.0, float(points.scale.max()))
     beside = min(_BESIDE_CELLS * coarsest, BLOCK_CELLS)
     across = float((points.points.max(0) - points.points.min(0)).max()) / cell
-    if across + 2 * (beside + BLOCK_CELLS) > MOST_CELLS:
+    most = 1 << (_NODE_BITS - _finest_level(points))
+    if across + 2 * (beside + BLOCK_CELLS) > most:
         raise DataError(
-            f"the points of the object spread over {across:.0f} cells of {cell:g}, expected at most {MOST_CELLS}: "
+            f"the points of the object spread over {across:.0f} cells of {cell:g}, expected at most {most}: "
             "are all stations and clouds in one frame and unit?"
         )
     blocks = PointBlocks(points, Lattice(points.points.min(0) - beside * cell, cell, beside))
@@ -192,6 +191,13 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
                 at = exact_vertices(field, at)
             at, triangles = blocks.levels.divided(cube, field, at, triangles)
             yield _piece(at, triangles, cube, near, blocks, threads)
+
+
+def _finest_level(points: OrientedPoints) -> int:
+    """How often cells are halved where that is most often."""
+    if points.scale is None:
+        return 0
+    return int(np.clip(_core.levels_of(np.array([float(points.scale.min())]))[0], 0, FINEST))
 
 
 def exact_vertices(field: NDArray[np.float32], at: NDArray[np.float32]) -> Floats:

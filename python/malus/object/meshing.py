@@ -35,7 +35,8 @@ _LEAST_PIECE = 0.005
 class ObjectMesh:
     """vertices, normals: N×3, world, station unit. triangles: M×3, counter-clockwise from outside. sigma: N, one standard
     deviation across the surface. measured: N, whether points support the vertex; elsewhere the surface is a guess that closes the mesh.
-    level: N, how often the lattice's cells were halved where the vertex is; None if nowhere.
+    level: N, how often the lattice's cells were halved where the vertex is; None if nowhere. areas: N, of the surface about each vertex, up
+    to a factor; None if vertices are equally dense but for the levels, which those of a guess are not.
     """
 
     vertices: Floats
@@ -44,15 +45,31 @@ class ObjectMesh:
     sigma: Floats
     measured: Bools
     level: NDArray[np.uint8] | None = None
+    areas: Floats | None = None
 
     def shares(self, rows: slice) -> Floats:
-        """How much these vertices are to count in figures of the surface: less where the lattice is finer and they are more."""
+        """How much these vertices are to count in shares of the surface: less where the mesh is finer and they are more."""
+        return self._cells(rows) if self.areas is None else self.areas[rows]
+
+    def _cells(self, rows: slice) -> Floats:
+        """Size of the lattice's cells about these vertices, on the surface, in cells that are not halved."""
         return np.ones(len(self.sigma[rows])) if self.level is None else 0.25 ** self.level[rows].astype(np.float64)
 
+    def measured_fraction(self) -> float:
+        """Share of the surface that is measured."""
+        measured = total = 0.0
+        for rows in chunks(len(self.vertices)):
+            share = self.shares(rows)
+            measured += float(share @ self.measured[rows])
+            total += float(share.sum())
+        return measured / total
+
     def even(self) -> Bools:
-        """Vertices that are equally dense everywhere (N), for medians: all, but where the lattice is finer a random choice."""
+        """Vertices that are equally dense on all of the measured surface (N), for medians: all, but where the lattice is finer a random
+        choice.
+        """
         random = np.random.default_rng(0)
-        parts = [random.random(len(share)) < share for share in map(self.shares, chunks(len(self.vertices)))]
+        parts = [random.random(len(size)) < size for size in map(self._cells, chunks(len(self.vertices)))]
         return np.concatenate([np.empty(0, bool), *parts])
 
 
@@ -126,12 +143,15 @@ def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: Or
     share /= share.sum(1, keepdims=True)
     sigma = (share * points.sigma[near]).sum(1)
     measured = away[:, 0] < np.maximum(_REACH * spacing[near[:, 0]], 2 * gsd)
-    normals = vertex_normals(vertices, triangles)
+    faces = face_normals(vertices, triangles)
+    normals = unit(sums_at_vertices(triangles, faces, len(vertices)))
+    areas = sums_at_vertices(triangles, np.linalg.norm(faces, axis=1), len(vertices))
     fine = (share[..., None] * points.normals[near]).sum(1)
     length = np.linalg.norm(fine, axis=1)
     agree = measured & (length > 0.5) & ((fine * normals).sum(1) > 0.5 * length)
     normals = np.where(agree[:, None], fine / np.maximum(length, 0.5)[:, None], normals)
-    return ObjectMesh(vertices, normals, triangles, np.where(measured, sigma, np.hypot(sigma, away[:, 0])), measured)
+    sigma = np.where(measured, sigma, np.hypot(sigma, away[:, 0]))
+    return ObjectMesh(vertices, normals, triangles, sigma, measured, areas=areas)
 
 
 def face_normals(vertices: Floats, triangles: NDArray[np.integer]) -> Floats:

@@ -38,6 +38,8 @@ _NOTHING, _ROOM = 128, 0.05
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 #: Distances from the reference of this many GSD or more have the first or last color.
 _MOST_DISTANCE_GSD = 2.0
+#: A pixel's place is in the mesh if a vertex lies within this many GSD of the object, or of the station if its pixels are larger.
+_FARTHEST_VERTEX_GSD = 4.0
 
 
 def colors_of(shares: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -51,34 +53,44 @@ def colors_of(shares: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
     """A PNG for each station: RMS of the other stations' distances over their standard deviation, blue 0 to red 4."""
-    return [_write_map(folder, one.view, colors_of(one.ratio / _MOST_RATIO)) for one in agreements]
+    return [_write_map(folder, one.view, one.ratio / _MOST_RATIO) for one in agreements]
 
 
 def write_distances(
     folder: Path, distances: NDArray[np.float32], mesh: ObjectMesh, views: Sequence[View], gsd: float
 ) -> list[Path]:
-    """A PNG for each station: distance of the mesh (N vertices) from its reference where the station sees it, blue outside, red inside."""
+    """A PNG for each station: distance of the mesh (N vertices) from its reference where the station sees the mesh, blue outside, red
+    inside.
+    """
     find = NearestVertices(mesh)
     paths = []
     for view in views:
-        shown = np.full(view.depth.shape, np.nan)
+        shown = np.full(view.depth.shape, np.nan, np.float32)
+        farthest = _FARTHEST_VERTEX_GSD * max(gsd, view.gsd)
         pixels = np.nonzero(view.usable)
         for some in chunks(len(pixels[0])):
             rows, columns = (places[some] for places in pixels)
-            shown[rows, columns] = distances[find(view.points_at(rows, columns))]
-        paths.append(_write_map(folder, view.name, _colors_of_distances(shown, gsd)))
+            points = view.points_at(rows, columns)
+            nearest = find(points)
+            near = np.linalg.norm(mesh.vertices[nearest] - points, axis=1) < farthest
+            shown[rows, columns] = np.where(near, distances[nearest], np.nan)
+        paths.append(_write_map(folder, view.name, _shares_of_distances(shown, gsd)))
     return paths
 
 
-def _write_map(folder: Path, station: str, colors: NDArray[np.uint8]) -> Path:
+def _write_map(folder: Path, station: str, shares: NDArray[np.floating]) -> Path:
+    """A PNG of colors_of these numbers (H×W), which takes much memory, in parts."""
+    colors = np.empty((*shares.shape, 3), np.uint8)
+    for rows in chunks(*shares.shape):
+        colors[rows] = colors_of(shares[rows])
     path = folder / f"{station}.png"
     write_bytes(path, encode(colors, "PNG"))
     return path
 
 
-def _colors_of_distances(distances: NDArray[np.floating], gsd: float) -> NDArray[np.uint8]:
-    # Blue is in front, as in the maps of a station.
-    return colors_of((1 - np.asarray(distances, np.float64) / (_MOST_DISTANCE_GSD * gsd)) / 2)
+def _shares_of_distances(distances: NDArray[np.float32], gsd: float) -> NDArray[np.float32]:
+    """The numbers whose colors stand for these distances: blue is in front, as in the maps of a station."""
+    return np.asarray((1 - distances / (_MOST_DISTANCE_GSD * gsd)) / 2, np.float32)
 
 
 def _turntable(
@@ -108,7 +120,7 @@ def _turntable(
         "seen_by": [view.name for view in views],
         "seen": pack(seen, 8),
         "sigma": pack(colors_of(sigma).T),
-        "reference": None if distances is None else pack(_colors_of_distances(distances[nearest], gsd).T),
+        "reference": None if distances is None else pack(colors_of(_shares_of_distances(distances[nearest], gsd)).T),
         "meters": METERS[unit],
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
         "eye": (to_eye / np.linalg.norm(to_eye)).tolist(),

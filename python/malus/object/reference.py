@@ -14,8 +14,10 @@ from malus import _core, registration, scans
 from malus._robust import distance_figures
 from malus.errors import DataError
 from malus.object.meshing import ObjectMesh, face_normals, sums_at_vertices
-from malus.object.views import Floats, View
+from malus.object.texture import NearestVertices
+from malus.object.views import Floats, View, scipy
 from malus.options import Options
+from malus.registration import some_of
 
 #: For the registration: stations that are tried, those that see most first; points of the surface and of the reference.
 _MOST_STATIONS, _SURFACE_POINTS, _REFERENCE_POINTS = 6, 20_000, 100_000
@@ -72,11 +74,11 @@ def place(reference: Reference, views: Sequence[View]) -> registration.Placement
 
     Raises DataError if no station's surface does.
     """
-    scan = reference.points[:: max(1, len(reference.points) // _REFERENCE_POINTS)]
+    scan = reference.points[some_of(len(reference.points), _REFERENCE_POINTS)]
     failures: list[DataError] = []
     for view in sorted(views, key=lambda view: -int(view.usable.sum()))[:_MOST_STATIONS]:
         rows, columns = np.nonzero(view.usable)
-        some = slice(None, None, max(1, len(rows) // _SURFACE_POINTS))
+        some = some_of(len(rows), _SURFACE_POINTS)
         points = view.points_at(rows[some], columns[some])
         try:
             return registration.place_reference(points, view.eye - points.mean(0), scan)
@@ -90,7 +92,7 @@ def aligned(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
     change from point to point, it may keep moving a little. DataError if no part of the reference is near.
     """
     measured = np.flatnonzero(mesh.measured & mesh.even())
-    points = np.ascontiguousarray(mesh.vertices[measured[:: max(1, len(measured) // _SURFACE_POINTS)]])
+    points = np.ascontiguousarray(mesh.vertices[measured[some_of(len(measured), _SURFACE_POINTS)]])
     found = _core.align_with_reference(
         points, reference.points, reference.triangles, gsd, _options(_FARTHEST_GSD), threads
     )
@@ -132,19 +134,35 @@ def compare(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) ->
 
 def _completeness(reference: Reference, mesh: ObjectMesh, gsd: float, threads: int) -> dict[str, float]:
     """Shares of the reference's surface within each limit of _COMPLETE_GSD of the mesh."""
-    every = max(1, len(reference.points) // _MOST_LOOKED_FOR)
-    points, areas = np.ascontiguousarray(reference.points[::every]), reference.areas()[::every]
-    # A mesh too large to be searched as a whole is searched as a cloud of some of its vertices.
-    thinner = max(1, len(mesh.vertices) // _MOST_AT_ONCE)
-    triangles = np.ascontiguousarray(mesh.triangles, np.uint32) if thinner == 1 else None
-    # What lies so many GSD beyond the mesh's border counts, too.
-    distances = _core.distances_from_reference(
-        points, points, np.ascontiguousarray(mesh.vertices[::thinner]), triangles, gsd, _options(_COMPLETE_GSD[-1]), threads, True
-    )  # fmt: skip
+    some = some_of(len(reference.points), _MOST_LOOKED_FOR)
+    points, areas = reference.points[some], reference.areas()[some]
+    if len(mesh.vertices) < 2 * _MOST_AT_ONCE:
+        # What lies so many GSD beyond the mesh's border counts, too.
+        away: NDArray[np.floating] = _core.distances_from_reference(
+            points, points, mesh.vertices, np.ascontiguousarray(mesh.triangles, np.uint32), gsd, _options(_COMPLETE_GSD[-1]), threads, True
+        )  # fmt: skip
+    else:
+        away = _by_vertices(points, mesh, gsd, threads)
     with np.errstate(invalid="ignore"):
-        return {
-            f"{limit}_gsd": float(areas[np.abs(distances) < limit * gsd].sum() / areas.sum()) for limit in _COMPLETE_GSD
-        }
+        return {f"{limit}_gsd": float(areas[np.abs(away) < limit * gsd].sum() / areas.sum()) for limit in _COMPLETE_GSD}
+
+
+def _by_vertices(points: Floats, mesh: ObjectMesh, gsd: float, threads: int) -> Floats:
+    """Distance of points (N) from a mesh that is too large to be searched as a whole: from the piece of plane within half a GSD about the
+    nearest vertex. Infinite beyond the last limit of _COMPLETE_GSD. Of guessed parts, whose vertices lie far apart, most are not found.
+    """
+    thinner = len(mesh.vertices) // _MOST_AT_ONCE
+    reach = (_COMPLETE_GSD[-1] + 2 * thinner**0.5) * gsd
+    tree = scipy("spatial").cKDTree(mesh.vertices[::thinner])
+    near = np.flatnonzero(np.isfinite(tree.query(points, distance_upper_bound=reach, workers=threads)[0]))
+    away = np.full(len(points), np.inf)
+    if len(near):
+        nearest = NearestVertices(mesh)(points[near])
+        apart, normals = points[near] - mesh.vertices[nearest], mesh.normals[nearest]
+        across = (apart * normals).sum(1)
+        along = np.linalg.norm(apart - across[:, None] * normals, axis=1)
+        away[near] = np.hypot(across, np.maximum(along - gsd / 2, 0))
+    return away
 
 
 def _options(farthest_gsd: float) -> str:

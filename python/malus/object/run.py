@@ -69,7 +69,8 @@ def run_object(
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct.
+    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct; an error in making the surface
+    leaves none, nor an earlier one.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
@@ -84,22 +85,29 @@ def run_object(
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     if not done:
-        raise batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
+        error = batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
+        raise _with_warnings(error, [] if frame is None else frame.warnings)
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
     folder = Path(output) / "object"
     key = _key(thing, outcomes, frame)
     # If two shards end at once, one makes the surface and the other gets an InputError.
     with exclusive(folder):
         if not _is_made(folder, key):
-            _fuse(
-                thing,
-                outcomes,
-                frame,
-                folder,
-                key,
-                threads or ALL_CORES,
-                lambda share, message: say("object", share, message),
-            )
+            _clear(folder)
+            try:
+                _fuse(
+                    thing,
+                    outcomes,
+                    frame,
+                    folder,
+                    key,
+                    threads or ALL_CORES,
+                    lambda share, message: say("object", share, message),
+                )
+            except BaseException:
+                # A mesh without its page, or with that of another surface, would look finished.
+                _clear(folder)
+                raise
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes
 
@@ -151,9 +159,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
                 progress=lambda share, message: say("photos", 0.3 + 0.7 * share, message),
             )  # fmt: skip
         except MalusError as error:
-            # They often say why, and no report will show them.
-            for warning in warnings:
-                error.add_note(f"warning before it: {warning}")
+            _with_warnings(error, warnings)
             raise
         for task in tasks:
             if task.identifier in found:
@@ -180,6 +186,13 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
         },
         warnings,
     )
+
+
+def _with_warnings(error: MalusError, warnings: Sequence[str]) -> MalusError:
+    """The error with the warnings before it as notes: they often say why, and no report will show them."""
+    for warning in warnings:
+        error.add_note(f"warning before it: {warning}")
+    return error
 
 
 def _begin(workspace: Path, begun: Path) -> None:
@@ -214,6 +227,14 @@ def _is_made(folder: Path, key: str) -> bool:
         return False
 
 
+def _clear(folder: Path) -> None:
+    """Remove an earlier surface, which may have had other stations, and what an interrupted run left."""
+    for name in ("quality.json", "mesh.ply", "mesh.glb", "albedo.glb"):
+        (folder / name).unlink(missing_ok=True)
+    for left in (*(folder / name for name in ("levels", "agreement", "reference", "report")), *folder.glob(".mesh-*")):
+        shutil.rmtree(left, ignore_errors=True)
+
+
 def _fuse(
     thing: Object,
     outcomes: Sequence[Outcome],
@@ -224,11 +245,6 @@ def _fuse(
     say: Progress,
 ) -> None:
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
-    (folder / "quality.json").unlink(missing_ok=True)
-    # Files left by an earlier surface, which may have had other stations, or by an interrupted run.
-    (folder / "albedo.glb").unlink(missing_ok=True)
-    for left in (folder / "levels", folder / "agreement", folder / "reference", *folder.glob(".mesh-*")):
-        shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as temporary:
         scratch = Path(temporary)
         say(0.0, "reading the stations")
@@ -247,14 +263,17 @@ def _fuse(
         # Agreement is measured before sharpening: surfaces that were moved to the same phases are less independent.
         agreements = [
             replace(met, ratio=on_disk(met.ratio, scratch / "agreement" / met.view))
-            for met in agreement.combine(views, threads=threads)[1]
+            for met in agreement.agreements_of(views, threads=threads)
         ]
         phases = [
             Phases.of(Workspace(folder.parent / "stations" / view.name), scratch / "phases" / view.name)
             for view in views
         ]
         told = telling(views, phases, threads=threads)
-        views = [stored(view, scratch / "sharpened" / view.name) for view in sharpened(views, told, threads=threads)]
+        views = [
+            stored(view, scratch / "sharpened" / view.name, ("depth", "normals"))
+            for view in sharpened(views, told, threads=threads)
+        ]
         everything = agreement.object_points(views, _clouds(thing, done, folder.parent, gsd, threads), threads=threads)
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", most_sigma)
@@ -273,7 +292,7 @@ def _fuse(
         files += _write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
-        stations = _station_figures(outcomes, views, agreements, coverage)
+        stations = _station_figures(outcomes, views, agreements, coverage, gsd)
         found = [] if frame is None else frame.warnings
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
@@ -433,21 +452,24 @@ def is_closed(triangles: NDArray[np.int64]) -> bool:
 
 def mesh_figures(mesh: ObjectMesh, gsd: float, wanted_closed: bool) -> dict[str, Any]:
     """Size of the mesh, whether it is closed, how much of it was measured and how well."""
-    even = mesh.even()
-    measured = mesh.measured & even
+    measured = mesh.measured & mesh.even()
     return {
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         # The check takes the whole mesh into memory. Closing does so, too; a large mesh with open borders stays on disk.
         "closed": (wanted_closed or len(mesh.triangles) <= _MOST_TO_SIMPLIFY) and is_closed(mesh.triangles),
-        "measured_fraction": float(mesh.measured[even].mean()),
+        "measured_fraction": mesh.measured_fraction(),
         "sigma_median_gsd": float(np.median(mesh.sigma[measured]) / gsd) if measured.any() else None,
         "extent": np.ptp(mesh.vertices, axis=0).tolist(),
     }
 
 
 def _station_figures(
-    outcomes: Sequence[Outcome], views: Sequence[View], agreements: Sequence[Agreement], coverage: Coverage
+    outcomes: Sequence[Outcome],
+    views: Sequence[View],
+    agreements: Sequence[Agreement],
+    coverage: Coverage,
+    gsd: float,
 ) -> list[dict[str, Any]]:
     known = {view.name: k for k, view in enumerate(views)}
     rows = []
@@ -464,7 +486,7 @@ def _station_figures(
                 "alone_fraction": float(coverage.alone[k]),
                 "unsure_fraction": views[k].unsure,
                 "max_sigma_gsd": views[k].most_sigma / views[k].gsd,
-                "agreement": agreement.agreement_figures([agreements[k]], views[k].gsd),
+                "agreement": agreement.agreement_figures([agreements[k]], gsd),
             }
         rows.append(row)
     return rows

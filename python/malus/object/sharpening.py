@@ -43,9 +43,6 @@ def sharpened(
     views: Sequence[View], stations: Sequence[tuple[View, Phases]], *, threads: int = ALL_CORES
 ) -> Iterator[View]:
     """The views with depths and normals adjusted to the phases of the stations, one after the other; `usable` does not change."""
-    if not stations:
-        yield from views
-        return
     phased = [(view.core, known.maps) for view, known in stations]
     for view in views:
         depth, normals = _core.sharpened(view.core, phased, threads)

@@ -24,10 +24,8 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
-#: Usual limit of a surface's sigma, in GSD and in standard deviations of a point of the prior; the larger one counts.
-_MOST_SIGMA = 4.0
-#: Errors of depth are alike over this share of the length that the prior was smoothed over (decision 121).
-_SHARED = 0.5
+#: The maps of a View.
+_MAPS = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
 
 
 def scipy(module: str) -> ModuleType:
@@ -118,9 +116,8 @@ def may_see(views: Sequence[View], points: Floats) -> list[int]:
     return [k for k, view in enumerate(views) if view.core.may_see(low, high)]
 
 
-def stored(view: View, folder: Path) -> View:
-    """The view with its maps in files of a new folder."""
-    names = ("depth", "normals", "sigma", "cosine", "usable", "object", "color")
+def stored(view: View, folder: Path, names: Sequence[str] = _MAPS) -> View:
+    """The view with its maps, or those that are named, in files of a new folder."""
     maps: dict[str, Any] = {name: on_disk(getattr(view, name), folder / name) for name in names}
     return replace(view, **maps)
 
@@ -133,7 +130,7 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float | None = None, thre
     surface, prior = workspace.surface(), workspace.manifest["steps"]["prior"]["notes"]
     camera, (rotation, translation) = workspace.camera, workspace.pose
     gsd = _core.median_gsd(surface)
-    most = _MOST_SIGMA * max(1.0, prior["noise"] / gsd) if most_sigma_gsd is None else most_sigma_gsd
+    most = _core.most_sigma_gsd(gsd, prior["noise"]) if most_sigma_gsd is None else most_sigma_gsd
     maps = _core.view_maps(surface, most, threads)
     sigma_gsd = maps["sigma"] / (surface.depth / camera.fx)
     known = np.isfinite(sigma_gsd)
@@ -151,7 +148,7 @@ def load_view(name: str, folder: Path, most_sigma_gsd: float | None = None, thre
         usable=maps["usable"].view(bool),
         object=maps["object"].view(bool),
         color=workspace.color().reshape(*surface.depth.shape, -1),
-        shared_px=max(1.0, _SHARED * prior["smoothing_px"]),
+        shared_px=_core.shared_px(prior["smoothing_px"]),
         most_sigma=most * gsd,
         unsure=float((sigma_gsd[known] >= most).mean()) if known.any() else 0.0,
     )

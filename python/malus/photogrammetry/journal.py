@@ -19,6 +19,9 @@ from malus.photogrammetry import database
 from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.program import Colmap
 
+#: Set in the notes of a stage that ended for lack of time.
+UNFINISHED = "unfinished"
+
 _DATABASES = (".db", ".db-wal", ".db-shm")
 
 
@@ -78,7 +81,8 @@ class Journal:
         """Notes of a stage: from its mark if the stage is done, else as `run` returns them.
 
         `outputs` are files or folders below the journal's folder. They are removed before the stage is run. The notes
-        must be JSON. Time and memory of the stage go to `times`: `seconds`, `cpu_seconds`, `peak_mb`.
+        must be JSON. Notes that say UNFINISHED hold for this run only, and the next one repeats the stage. Time and memory of the
+        stage go to `times`: `seconds`, `cpu_seconds`, `peak_mb`.
         """
         text = json.dumps(
             {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True
@@ -104,7 +108,8 @@ class Journal:
                 "warnings": self._warnings,
                 "times": meter.stop(),
             }
-            write_record(mark, done)
+            if not notes.get(UNFINISHED):
+                write_record(mark, done)
         self.times[name] = done["times"]
         kept: dict[str, Any] = done["notes"]
         return kept

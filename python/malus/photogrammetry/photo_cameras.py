@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.diagnosis import Log
+from malus.photogrammetry.journal import UNFINISHED
 from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photos import Photo, other_images, photos_of, write_proxy
 from malus.photogrammetry.program import SearchStoppedError
@@ -33,7 +35,7 @@ _PLACING_MATCHES = 30
 #: Message of COLMAP's mapper if photos match but no pair of them fixes the geometry. This is not a failure of the program.
 _NO_MODEL = "failed to create sparse model"
 _PHOTOS_A_SEARCH_LIMIT = 20
-#: Least number of photos for an adjustment to separate the principal point from the poses.
+#: Least number of photos of a lens for an adjustment to separate the principal point from the poses.
 MIN_PHOTOS_PRINCIPAL_POINT = 6
 
 
@@ -149,7 +151,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         "adjustment",
         {"max_error_px": options.max_error_px},
         ["adjusted"],
-        lambda: _adjust(bench, mapping["best"], known is not None, len(photos)),
+        lambda: _adjust(bench, mapping["best"], known is not None),
     )
     model = SparseModel.read(bench.folder / "adjusted")
     return PhotoCameras(
@@ -202,7 +204,7 @@ def _connect(
         diagnosis.check_connections(names, pairs, bench.log)
     mapping = bench.journal.stage(
         f"{prefix}mapping",
-        {"min_inliers": options.min_inliers},
+        {"min_inliers": options.min_inliers, "search_limit_s": options.search_limit_s},
         [f"{prefix}sparse", f"{prefix}mapping.db"],
         lambda: _map(bench, groups, pairs, sparing=sparing),
     )
@@ -266,9 +268,9 @@ def _map(
             focal = float(factor or 1) * max(first.width, first.height)
             params = np.array([focal, focal, first.width / 2, first.height / 2, 0, 0, 0, 0])
             database.set_camera(source, database.camera_of(source, first.name), params)
-        models = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
+        models, stopped = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
         best = max(models, key=lambda name: len(models[name]), default=None)
-        tried.append({"focal": factor, "models": models, "best": best})
+        tried.append({"focal": factor, "models": models, "best": best, UNFINISHED: stopped and best is None})
         if best is not None and len(models[best]) >= _ENOUGH_SHARE * reachable:
             break
     chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
@@ -284,8 +286,8 @@ def placing(bench: Bench, sparing: bool) -> dict[str, object]:
 
 def _run_mapper(
     bench: Bench, source: Path, attempt: int, groups: Sequence[CameraGroup], count: int, sparing: bool
-) -> dict[str, list[str]]:
-    """Models by folder (below the bench's folder), each with the names of its photos."""
+) -> tuple[dict[str, list[str]], bool]:
+    """Models by folder (below the bench's folder), each with the names of its photos, and whether the time for a search ran out."""
     target = bench.folder / f"{_prefix(sparing)}sparse" / f"attempt_{attempt}"
     target.mkdir(parents=True)
     fixed = all(group.known is not None for group in groups)
@@ -310,6 +312,8 @@ def _run_mapper(
     def read(line: str) -> None:
         nonlocal registered, search_start
         if "Finding good initial image pair" in line:
+            if registered >= MIN_PHOTOS:  # A model is complete: the search for another one has the whole time again.
+                search_start = time.monotonic()
             registered = 0
         match = re.search(r"Registering image #\d+ \((\d+)\)", line)
         if match:
@@ -319,10 +323,11 @@ def _run_mapper(
     def keep_going() -> bool:
         return registered >= MIN_PHOTOS or time.monotonic() - search_start < limit_s
 
+    stopped = False
     try:
         bench.colmap.run("mapper", arguments, bench.log_file("mapping"), on_line=read, keep_going=keep_going)
     except SearchStoppedError:
-        pass  # The models that it has found so far count.
+        stopped = True  # The models that it has found so far count.
     except ExternalError as error:
         if _NO_MODEL not in str(error):
             raise
@@ -330,12 +335,14 @@ def _run_mapper(
     for folder in sorted(target.iterdir()):
         if (folder / "images.bin").exists():
             models[folder.relative_to(bench.folder).as_posix()] = sorted(SparseModel.read(folder).images)
-    return models
+    return models, stopped
 
 
-def _adjust(bench: Bench, best: str, fixed: bool, count: int) -> dict[str, Any]:
+def _adjust(bench: Bench, best: str, fixed: bool) -> dict[str, Any]:
     bench.report("adjustment", 0, "adjustment of all photos")
-    enough = count >= MIN_PHOTOS_PRINCIPAL_POINT
     source, target = bench.folder / best, bench.folder / "adjusted"
+    # COLMAP frees the principal points of all lenses or of none.
+    of_lens = Counter(image.camera_group for image in SparseModel.read(source).images.values())
+    enough = min(of_lens.values()) >= MIN_PHOTOS_PRINCIPAL_POINT
     bench.adjust("adjustment", source, target, lens=not fixed, principal_point=not fixed and enough)
     return {}

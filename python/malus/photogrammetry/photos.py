@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from malus._files import natural, require_utf8
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, positive, tags_of
+from malus.workspace import is_result
 
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
@@ -82,14 +84,37 @@ def describe_photo(path: Path, name: str) -> Photo:
     return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
 
 
+def files_below(folder: Path) -> Iterator[Path]:
+    """The files below a folder that may be photos or masks: none that is hidden, and none of the results of a run, an object, a
+    campaign or `malus check`.
+
+    Raises InputError for a folder with more files and folders than a station can have.
+    """
+    count = 0
+    for place, folders, files in os.walk(folder):
+        count += len(folders) + len(files)
+        if count > MOST_NAMES:
+            raise InputError(
+                f'[photos] folder = "{folder}" has more than {MOST_NAMES} files and folders, expected the photos of one station'
+            )
+        here = Path(place)
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and not _has_results(here / name))
+        yield from (here / name for name in files if not name.startswith(".") and not name.endswith("-check.png"))
+
+
+def _has_results(folder: Path) -> bool:
+    """Whether a folder's pictures are results, which would change with each run if they were taken for photos."""
+    return is_result(folder) or any((folder / name).exists() for name in ("campaign.json", "features.db"))
+
+
 def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> dict[str, Path]:
-    """The photos below a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural order;
-    without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
+    """The photos of `files_below` a folder (PNG, TIFF, JPEG) by their paths below it, which station files call them by, in natural
+    order; without those whose name or path matches a pattern of `exclude`, and without files of a folder of masks in it.
 
     Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
     more files and folders than a station can have.
     """
-    names = dict(_files_below(folder, masks, raw.IMAGE_SUFFIXES))
+    names = dict(_images_below(folder, masks, raw.IMAGE_SUFFIXES))
     if masks == folder:
         found = {mask for name in names for mask in _mask_names(name) if mask != name}
         names = {name: path for name, path in names.items() if name not in found}
@@ -102,20 +127,14 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     return {name: names[name] for name in kept}
 
 
-def _files_below(folder: Path, masks: Path | None, suffixes: frozenset[str]) -> Iterator[tuple[str, Path]]:
-    """The files below a folder that have one of these suffixes, and their paths below it; without those of a folder of masks in it."""
+def _images_below(folder: Path, masks: Path | None, suffixes: frozenset[str]) -> Iterator[tuple[str, Path]]:
+    """The `files_below` a folder that have one of these suffixes, and their paths below it; without those of a folder of masks in it."""
     # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
     inside = None if masks is None or masks == folder or not masks.is_relative_to(folder) else masks
-    for count, path in enumerate(folder.rglob("*")):
-        if count == MOST_NAMES:
-            raise InputError(
-                f'[photos] folder = "{folder}" has more than {MOST_NAMES} files and folders, expected the photos of one station'
-            )
-        below = path.relative_to(folder)
-        hidden = any(part.startswith(".") for part in below.parts)
+    for path in files_below(folder):
         is_mask = inside is not None and inside in path.parents
-        if not (hidden or is_mask) and path.suffix.lower() in suffixes and path.is_file():
-            yield below.as_posix(), path
+        if not is_mask and path.suffix.lower() in suffixes and path.is_file():
+            yield path.relative_to(folder).as_posix(), path
 
 
 def other_images(said: Mapping[str, Any], photos: Sequence[Photo]) -> str:
@@ -127,7 +146,7 @@ def other_images(said: Mapping[str, Any], photos: Sequence[Photo]) -> str:
     read = {photo.path.with_suffix("") for photo in photos}
     kinds = Counter(
         path.suffix.lower()
-        for name, path in _files_below(Path(said["folder"]), masks, _OTHER_SUFFIXES)
+        for name, path in _images_below(Path(said["folder"]), masks, _OTHER_SUFFIXES)
         if path.with_suffix("") not in read and not any(_matches(name, pattern) for pattern in said["exclude"])
     )
     count = kinds.total()

@@ -83,9 +83,13 @@ def _freedom(solved: PhotoCameras, stations: Mapping[str, StationView], model: S
     """Which parameters of a lens may change, by the name of one image of each lens that is not fixed."""
     free: dict[str, str] = {}
     if not solved.calibrated:
-        enough = len(solved.model.images) >= MIN_PHOTOS_PRINCIPAL_POINT
-        groups = {model.images[name].camera_group: name for name in sorted(solved.model.images) if name in model.images}
-        free = dict.fromkeys(groups.values(), "all" if enough else "without_principal_point")
+        photos: dict[tuple[object, ...], list[str]] = {}
+        for name in sorted(solved.model.images):
+            if name in model.images:
+                photos.setdefault(model.images[name].camera_group, []).append(name)
+        for names in photos.values():
+            enough = len(names) >= MIN_PHOTOS_PRINCIPAL_POINT
+            free[names[-1]] = "all" if enough else "without_principal_point"
     for image, station in stations.items():
         if station.lens is None and station.shared_with is None:
             free[image] = "without_principal_point"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from malus.photogrammetry.photos import photo_files
 from malus.raw import is_image, is_raw
 from malus.scans import is_scan
 from malus.studio.access import Root
+from malus.workspace import is_result
 
 #: Most folders and files that are searched for stations, results, clouds and models, and most levels of folders.
 _SEARCHED = 20_000
@@ -39,17 +39,6 @@ def _is_station(path: Path) -> bool:
         return path.suffix == ".toml" and b"[polarized]" in read_regular(path)
     except OSError:
         return False
-
-
-def is_result(folder: Path) -> bool:
-    """Whether a folder holds the results of a run, even if damaged. Files manifest.json also exist in IIIF, web pages and archives."""
-    try:
-        said = json.loads(read_regular(folder / "manifest.json"))
-    except OSError:
-        return False
-    except (ValueError, RecursionError):
-        return True
-    return isinstance(said, dict) and ("steps" in said or "format" in said)
 
 
 def listing(root: Root, name: str) -> dict[str, Any]:

@@ -12,9 +12,9 @@ from malus._files import shortened
 from malus.errors import DataError, InputError, MalusError
 from malus.figures import data_url, encode, gray, hillshade, reduced, step_for
 from malus.studio.access import Root
-from malus.studio.folders import below, is_result
+from malus.studio.folders import below
 from malus.studio.pictures import colored
-from malus.workspace import Workspace
+from malus.workspace import Workspace, is_result
 
 #: Long side of the pictures of results.
 _SIDE_PX = 1400

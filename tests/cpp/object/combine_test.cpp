@@ -10,6 +10,7 @@
 #include "malus/core/median_internal.h"
 #include "malus/object/oriented_points_internal.h"
 #include "malus/object/point_choice_internal.h"
+#include "malus/object/station_means_internal.h"
 #include "object/views.h"
 #include "thrown_error.h"
 
@@ -127,6 +128,17 @@ TEST(Combine, StationsThatDisagreeMeetInTheMiddle) {
   EXPECT_EQ(first.view, "a");
   EXPECT_NEAR(first.ratio(64, 64), std::sqrt(2), 0.05);
   EXPECT_TRUE(std::isnan(first.ratio(0, 0)));
+}
+
+TEST(StationMeans, KeepsNoMoreDistancesForMoreOverlaps) {
+  const Station station = plane_station("a", 1, 0, 0, 0.3);
+  const std::vector<ObjectView> all(601, station.view());
+  const Agreement agreement = station_means(all, 0, 1, {}).agreement;
+  EXPECT_LT(agreement.distances.size(), 2 * most_compared);
+  EXPECT_GT(agreement.distances.size(), most_compared / 2);
+  EXPECT_EQ(agreement.expected.size(), agreement.distances.size());
+  EXPECT_EQ(station_means(std::span(all).first(3), 0, 1, {}).agreement.distances.size(),
+            2 * static_cast<std::size_t>(std::ranges::count(station.maps.usable, 1)));
 }
 
 TEST(Combine, WhatAnotherStationSeesThroughIsDropped) {

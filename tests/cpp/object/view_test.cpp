@@ -76,12 +76,21 @@ TEST(ObjectView, NamesASurfaceThatIsKnownNowhere) {
       ErrorCode::input, [&] { station.view(); }, "front: its GSD is nan");
 }
 
+TEST(ObjectView, HasTheLimitsOfItsPrior) {
+  EXPECT_EQ(most_sigma_gsd(0.2, 0), 4);
+  EXPECT_EQ(most_sigma_gsd(0.2, 0.1), 4);
+  EXPECT_DOUBLE_EQ(most_sigma_gsd(0.2, 0.6), 12) << "four standard deviations of a point";
+  EXPECT_EQ(shared_px(0), 1);
+  EXPECT_EQ(shared_px(9), 4.5);
+  const Station station = sphere_station("front", {1, 0, 0});
+  EXPECT_EQ(object_view("a", station.surface, station.maps, 4.5).shared_px, 4.5);
+}
+
 TEST(ObjectView, NamesAnImpossibleLengthOfSharedErrors) {
   const Station station = sphere_station("front", {1, 0, 0});
-  ObjectView view = station.view();
-  view.shared_px = 0.5;
   expect_error(
-      ErrorCode::input, [&] { view.validate(); }, "front: its errors are alike over 0.5");
+      ErrorCode::input, [&] { object_view("front", station.surface, station.maps, 0.5); },
+      "front: its errors are alike over 0.5");
 }
 
 TEST(ViewLookup, RulesOutOnlyWhatTheCameraCannotSee) {

@@ -21,7 +21,7 @@ struct Station {
   ViewMaps maps;
   std::string name;
 
-  ObjectView view() const { return object_view(name, surface, maps); }
+  ObjectView view() const { return object_view(name, surface, maps, 1); }
 };
 
 /// Pose of a camera that looks at the origin from this direction.

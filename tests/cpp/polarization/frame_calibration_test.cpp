@@ -29,6 +29,7 @@ FrameEstimate zero_error(double deg, double sigma_deg) {
 TEST(PolarizerCalibration, CorrectsAZeroThatIsClearlyOff) {
   const CalibratedFrame corrected = calibrate_frame(given_fit(), false, true, zero_error(2, 0.1), {});
   EXPECT_TRUE(corrected.calibration.from_surface);
+  EXPECT_EQ(corrected.calibration.doubt, "");
   EXPECT_NEAR(corrected.calibration.angles_deg[1], 32, 1e-9);
   ASSERT_EQ(corrected.calibration.warnings.size(), 1u);
   expect_contains(corrected.calibration.warnings[0], "is corrected: angles as read are 2° ± 0.1° too small");
@@ -73,6 +74,8 @@ TEST(PolarizerCalibration, AScaleThatCountsTheOtherWayIsAnError) {
   const PolarizerCalibration said = calibrate_frame(given_fit(), false, true, behind, options).calibration;
   ASSERT_EQ(said.warnings.size(), 1u);
   expect_contains(said.warnings[0], "angle_direction");
+  EXPECT_EQ(said.doubt, said.warnings[0]);
+  EXPECT_TRUE(said.is_contradicted);
   EXPECT_FALSE(said.from_surface);
 }
 
@@ -84,7 +87,23 @@ TEST(PolarizerCalibration, AZeroOffBy90DegreesIsAnErrorIfCertain) {
   const auto doubted = calibrate_frame(given_fit(), false, true, seen_in(turned_scale(90 * degree_rad), false), {});
   ASSERT_EQ(doubted.calibration.warnings.size(), 1u);
   expect_contains(doubted.calibration.warnings[0], "is angle_zero_deg off by 90°?");
+  EXPECT_EQ(doubted.calibration.doubt, doubted.calibration.warnings[0]);
+  EXPECT_FALSE(doubted.calibration.is_contradicted);
   EXPECT_FALSE(doubted.calibration.from_surface);
+}
+
+TEST(PolarizerCalibration, AnglesFixedInASensorAreNotCorrectedButCanBeWrong) {
+  const PolarizerCalibration fixed =
+      calibrate_frame(given_fit(), false, true, zero_error(2, 0.1), {}, true).calibration;
+  EXPECT_FALSE(fixed.from_surface);
+  EXPECT_NEAR(fixed.angles_deg[1], 30, 1e-9);
+  EXPECT_EQ(fixed.doubt, "") << "of a few degrees";
+  const FrameEstimate turned = seen_in(turned_scale(90 * degree_rad), true);
+  expect_error(
+      ErrorCode::input, [&] { calibrate_frame(given_fit(), false, true, turned, {}, true); }, "in a mosaic");
+  PolarizerOptions off;
+  off.calibrate_angles = AngleCalibration::off;
+  expect_contains(calibrate_frame(given_fit(), false, true, turned, off, true).calibration.doubt, "is off by 90°");
 }
 
 TEST(PolarizerCalibration, TheSurfaceDeterminesTheFrameThatImagesLeaveFree) {

@@ -311,6 +311,28 @@ TEST(PriorOfCloud, PointsFacingAwayAreLeftOut) {
   EXPECT_LT(rms_gsd(prior.depth, plane_depth), 0.1);
 }
 
+TEST(PriorOfCloud, WarnsOfPatchesWhoseNormalsPointInwards) {
+  const Eigen::Vector3f towards = (test_pose().rotation.transpose() * Eigen::Vector3d(0, 0, -1)).cast<float>();
+  std::string warning;
+  Context context;
+  context.on_log = [&warning](LogLevel, const std::string& message) { warning += message; };
+  PointCloud cloud = sample(plane_depth, 6000, 0.1);
+  cloud.normals.assign(cloud.points.size(), towards);
+  // A closed object has points that face away everywhere, but before them others.
+  PointCloud closed = cloud;
+  PointCloud back = sample([](double u, double v) { return plane_depth(u, v) + 60 * gsd_mm; }, 6000, 0.1, 5);
+  back.normals.assign(back.points.size(), -towards);
+  add(closed, back);
+  project(closed, {}, full_mask(), context);
+  EXPECT_EQ(warning, "");
+  for (std::size_t i = 0; i < cloud.points.size(); ++i) {
+    if (test_camera().project(test_pose().cam_from_world(cloud.points[i])).x() < 30)
+      cloud.normals[i] = -cloud.normals[i];
+  }
+  project(cloud, {}, full_mask(), context);
+  expect_contains(warning, "% of the places where it has points all their normals point away from the camera");
+}
+
 TEST(PriorOfCloud, ReportsNormalsThatPointInwards) {
   PointCloud cloud = sample(plane_depth, 500, 0.1);
   cloud.normals.assign(cloud.points.size(),

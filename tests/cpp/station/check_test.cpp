@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <limits>
 #include <string>
 #include <utility>
@@ -138,12 +139,63 @@ TEST(CheckPicture, LeavesOutPointsThatTheLensDoesNotSee) {
   EXPECT_NEAR(points[1].x(), 25.425, 1e-3);
 }
 
+TEST(CheckPicture, CanBeCanceledWhilePointsAreProjected) {
+  Station station = scaled_station();
+  station.prior = cloud_of(station);
+  const std::atomic<bool> cancel{true};
+  Context context;
+  context.cancel = &cancel;
+  expect_error(ErrorCode::interrupted, [&] { check_picture(station, context); });
+}
+
+TEST(CheckPicture, ThinsPointsOutEvenly) {
+  Station station = scaled_station();
+  station.file.prior_scale = 1;
+  const PointCloud view = cloud_of(station);
+  PointCloud cloud;
+  for (int round = 0; round < 250; ++round)
+    cloud.points.insert(cloud.points.end(), view.points.begin(), view.points.end());
+  station.prior = cloud;
+  // Every fourth of 300 000.
+  EXPECT_EQ(check_picture(station, {}).points.size(), 75000U);
+}
+
 TEST(CheckStation, MeasuresThePriorScaledToKnownDistances) {
   Station station = scaled_station();
   station.prior = cloud_of(station);
   const std::string does = plan_of(station);
   expect_contains(does, "known distances make the prior 2 times as large; they are then off by 0.001 mm");
   expect_contains(does, "200 mm from the camera");
+}
+
+TEST(CheckStation, LimitsTheConfidenceForCautionsAsARunWould) {
+  Station station = scaled_station();
+  // Part of the image of a lens so long that depths in single precision are coarse.
+  station.file.camera->lens.params = {1e6, 1e6, 5000, 14.5};
+  station.file.prior_scale = 1900;
+  station.prior = cloud_of(station);
+  const Plan plan = check_station(station, {}, {});
+  EXPECT_EQ(plan.confidence.level, ConfidenceLevel::partial);
+  ASSERT_EQ(plan.confidence.reasons.size(), 1U);
+  expect_contains(plan.confidence.reasons[0], "rounded so much in single precision");
+}
+
+/// Only the check before a run named the unit.
+TEST(PriorOfStation, SaysWhyItMissesTheObject) {
+  Station station = scaled_station();
+  station.file.prior_scale = 1;
+  station.file.camera->pose.translation = {0, 0, 100};
+  station.images.assign(4, Image<float>({40, 30}, 1, 0.5F));
+  station.file.polarized.angles_deg = {0, 45, 90, 135};
+  PointCloud in_meters = cloud_of(station);
+  for (Eigen::Vector3d& point : in_meters.points) point = 1e-3 * station.file.camera->pose.world_from_cam(point);
+  const TriangleMesh mesh{in_meters, {{0, 39, 1199}, {0, 1199, 1160}}};
+  for (const PriorSource& source : {PriorSource(in_meters), PriorSource(mesh)}) {
+    station.prior = source;
+    expect_error(
+        ErrorCode::data, [&] { reconstruct(station, Options(), {.until = "prior"}, Context()); },
+        "in m and the camera in mm (a factor of 1000): only then does it fall there");
+  }
 }
 
 TEST(CheckStation, SaysThatTheObjectIsTreatedAsAStatedMetal) {

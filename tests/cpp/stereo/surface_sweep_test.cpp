@@ -194,7 +194,7 @@ TEST(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
     };
     const SweepResult few =
         sweep_surface(bumpy().input, {bumpy().views.begin(), bumpy().views.begin() + photos}, test_options(), context);
-    expect_contains(warnings, "no disjoint halves");
+    expect_contains(warnings, "too few photos to compare two groups of them");
     EXPECT_FALSE(few.halves_compared);
     EXPECT_GT(few.median_sigma_gsd, 2 * many.median_sigma_gsd);
     const Errors errors = errors_of(few, bumpy().truth);
