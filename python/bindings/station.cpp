@@ -95,7 +95,8 @@ Station with_cloud(Station station, const Array<double>& points, const std::opti
 Station with_developed(Station station, const std::vector<std::string>& images, std::optional<double> full_well_e,
                        std::optional<double> read_noise_e) {
   PolarizedSpec& spec = station.file.polarized;
-  station.developed_from = std::move(spec.images);
+  // Result.save develops them a second time, for a station that has images developed by the run.
+  if (station.developed_from.empty()) station.developed_from = std::move(spec.images);
   spec.images.assign(images.begin(), images.end());
   if (!spec.full_well_e && !spec.read_noise_e) {
     spec.full_well_e = full_well_e;
@@ -107,8 +108,9 @@ Station with_developed(Station station, const std::vector<std::string>& images, 
 /// Name of the check, message and suggestion.
 using FileFindings = std::vector<std::tuple<std::string, std::string, std::string>>;
 
-/// The station with warnings and notes about its files.
+/// The station with warnings and notes about its files, in place of those that it had.
 Station with_file_doubts(Station station, const FileFindings& doubts, const FileFindings& notes) {
+  station.file_findings.clear();
   for (const auto& [check, message, suggestion] : doubts)
     station.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
   for (const auto& [check, message, suggestion] : notes)
@@ -185,7 +187,7 @@ void bind_run(py::module_& module) {
   module.def("describe_run", [](const Options& options, const std::optional<std::string>& until) {
     py::list steps;
     for (const StepDescription& step : describe_run(options, until))
-      steps.append(py::make_tuple(step.name, step.does, step.leaves));
+      steps.append(py::make_tuple(step.name, step.does, step.leaves, step.may_leave));
     return steps;
   });
 

@@ -218,7 +218,7 @@ def _add_steps(crate: _Crate, inputs: dict[str, Any]) -> None:
     tool = next(entity for entity in tools if entity["name"] == "malus")
     tool["softwareRequirements"] = [entity for entity in tools if entity is not tool]
     agent = crate.crate.root_dataset.get("author")
-    purpose = {name: does for name, does, _ in _core.describe_run(json.dumps(manifest["options"]), "assess")}
+    purpose = {name: does for name, does, _, _ in _core.describe_run(json.dumps(manifest["options"]), "assess")}
     actions = []
     for name, step in manifest["steps"].items():
         times = manifest["times"].get(name, {})

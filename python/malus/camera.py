@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_numbers, as_rows
+from malus._arrays import as_image, as_numbers, as_rows
 
 
 @dataclass
@@ -103,3 +103,11 @@ class Camera:
         """All fields as plain values, checked, in the form that the C++ library takes."""
         rotation, translation = self.pose()
         return self.model, self.width, self.height, [float(p) for p in self.params], rotation, translation
+
+
+def as_view(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]:
+    """The values as a float32 array H×W of the camera's size; ValueError for another shape."""
+    raster = as_image(values, name)
+    if raster.shape != (camera.height, camera.width):
+        raise ValueError(f"{name} has shape {raster.shape}, expected {(camera.height, camera.width)} as its camera")
+    return raster

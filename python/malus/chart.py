@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core
+from malus import _core, raw
 from malus._extra import extra
 from malus._files import read_record, write_record
 from malus.capture import linearize
@@ -94,18 +94,25 @@ class ColorCorrection:
 
 
 def measure_chart(
-    source: str | Path, *, corners: Sequence[float] | None = None, response: str = "linear"
+    source: str | Path,
+    *,
+    corners: Sequence[float] | None = None,
+    response: str = "linear",
+    white_level: float | None = None,
+    black_level: float = 0.0,
 ) -> ColorCorrection:
-    """Measure a ColorChecker in a color image (PNG, TIFF, JPEG), or in a workspace whose view shows it.
+    """Measure a ColorChecker in a color image (PNG, TIFF, JPEG or RAW), or in a workspace whose view shows it.
 
     The light and the camera's settings must be those of the station. corners: x, y of the centers of the four corner patches: dark
     skin, bluish green, black, white (clockwise from the start of the first row); without them the chart is detected. response: of
-    the image, "linear", "srgb", "gamma:X".
+    the image, "linear", "srgb", "gamma:X". white_level, black_level: digital numbers as in the station file, without which the
+    colors of exports would be too bright or too dark; None = the full scale of the file. A RAW file states its own, and a
+    workspace is linear.
 
-    Raises InputError for a gray image, DataError if no chart is found or its colors cannot be right, ExternalError without the extra
+    Raises InputError for a gray image, or for a response or levels with a RAW file or a workspace, DataError if no chart is found or its colors cannot be right, ExternalError without the extra
     `color`.
     """
-    image = _linear_image(Path(source), response)
+    image = _linear_image(Path(source), response, white_level, black_level)
     centers = _found_centers(image, Path(source)) if corners is None else _between(corners)
     colors = _patches(image, centers)
     if float(colors.max()) > _CLIPPED:
@@ -130,12 +137,20 @@ def fit_colors(colors: Floats, source: str, corners: Floats) -> ColorCorrection:
     return ColorCorrection(matrix, within, without, corners, source)
 
 
-def _linear_image(path: Path, response: str) -> NDArray[np.float32]:
+def _linear_image(path: Path, response: str, white_level: float | None, black_level: float) -> NDArray[np.float32]:
+    is_linear = path.is_dir() or raw.is_raw(path)
+    if is_linear and (response, white_level, black_level) != ("linear", None, 0.0):
+        raise InputError(
+            f"{path}: response, white and black level are not for {'workspaces' if path.is_dir() else 'RAW files'}, which have them already"
+        )
     if path.is_dir():
         image = Workspace(path).color()
+    elif is_linear:
+        image = raw.linear_image(path)
     else:
-        levels, white = _core.read_image_dn(str(path))
-        image = linearize(levels, response=response, white_level=white)
+        levels, full_scale = _core.read_image_dn(str(path))
+        white = full_scale if white_level is None else white_level
+        image = linearize(levels, response=response, black_level=black_level, white_level=white)
     if image.ndim != 3:
         raise InputError(f"{path}: was taken in gray, expected a color image of the chart")
     return image

@@ -43,12 +43,20 @@ _A_STATION_S = 60.0
 #: For each single-step command: the last step that it runs, its fusion (None = as the options say) and its help text. The steps that
 #: the command needs run first, unless they are done already.
 STEP_COMMANDS = {
-    "decompose": ("zenith", None, "intensity, degree, phase and zenith maps"),
-    "prior": ("prior", None, "the photogrammetric surface in the polarized view"),
+    "decompose": (
+        "zenith",
+        None,
+        "how bright, how strongly and in which direction the light is polarized (intensity, degree, phase, zenith)",
+    ),
+    "prior": ("prior", None, "the coarse surface as the polarized images see it"),
     "height": ("height", None, "height from polarization alone"),
-    "fuse": ("fuse", None, "the fused surface, by --fusion: refined (default) or grid (the method of the paper)"),
+    "fuse": (
+        "fuse",
+        None,
+        "the fused surface, by --fusion: refined (default) or grid (the method of the paper: faster, coarser)",
+    ),
     "refine": ("fuse", "refined", "the fused surface by nonlinear refinement, the same as fuse --fusion refined"),
-    "mesh": ("mesh", None, "metric mesh in object space"),
+    "mesh": ("mesh", None, "the mesh, in true size"),
     "assess": ("assess", None, "patches, profiles, comparison with a reference"),
 }
 
@@ -100,8 +108,9 @@ def _leaves(until: str, fusion: str | None, *more: str) -> str:
     if fusion is not None:
         options.fusion = fusion
     lines = ["leaves in WORK:"]
-    for step, _, files in _core.describe_run(options.to_json(), until):
+    for step, _, files, further in _core.describe_run(options.to_json(), until):
         lines += [f"  {file}  ({step})" for file in files]
+        lines += [f"  {file}  ({step}, if there is one)" for file in further]
     return "\n".join([*lines, *(f"  {file}" for file in more)])
 
 
@@ -109,19 +118,28 @@ _Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 class _Add(Protocol):
-    """Adds a command that takes the common options, and by default a station file and a workspace folder."""
+    """Adds a command that takes the common options, and by default a station file and a workspace folder, and runs steps."""
 
-    def __call__(self, name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser: ...
+    def __call__(
+        self, name: str, text: str, *, station: bool = True, work: bool = True, computes: bool = True
+    ) -> argparse.ArgumentParser: ...
 
 
 def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
     command.add_argument("-o", "--output", type=Path, metavar="WORK", **how)
     command.add_argument(
-        "--replace", action="store_true", help="take the workspace over if it belongs to another station"
+        "--replace",
+        action="store_true",
+        help="take the workspace over if it belongs to another station; its results are removed",
     )
 
 
-def _common_options() -> _Parser:
+def _common_options(*, computes: bool) -> _Parser:
+    """Options of every command. computes: whether it runs steps, whose options other commands take, but do not show."""
+
+    def told(text: str) -> str:
+        return text if computes else argparse.SUPPRESS
+
     common = _Parser(add_help=False)
     # What only some commands have.
     common.set_defaults(reference=None, register=False, m3c2=False, pixels=None)
@@ -131,16 +149,17 @@ def _common_options() -> _Parser:
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="set an option of any step (malus options lists them); can be repeated",
+        help=told("set an option of any step (malus options lists them); can be repeated"),
     )
-    common.add_argument("--options", type=Path, metavar="FILE.toml", help="file with options, one table per step")
+    common.add_argument("--options", type=Path, metavar="FILE.toml", help=told("file with options, one table per step"))
     common.add_argument(
         "--fusion",
         choices=["grid", "refined"],
-        help="grid = the method of the paper: faster, coarser (default of malus paper), "
-        "refined = nonlinear refinement (default of all others)",
+        help=told(
+            "grid = the method of the paper: faster, coarser (default of malus paper), refined = nonlinear refinement (default of all others)"
+        ),
     )
-    common.add_argument("--preset", metavar="NAME", help="start from a named set of options: paper")
+    common.add_argument("--preset", metavar="NAME", help=told("start from a named set of options: paper"))
     common.add_argument(
         "--json", action="store_true", help="write progress to standard output, one JSON object per event"
     )
@@ -153,11 +172,13 @@ def _common_options() -> _Parser:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
-    common = _common_options()
+    common = {computes: _common_options(computes=computes) for computes in (True, False)}
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
 
-    def add(name: str, text: str, *, station: bool = True, work: bool = True) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=text, description=text, parents=[common])
+    def add(
+        name: str, text: str, *, station: bool = True, work: bool = True, computes: bool = True
+    ) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=text, description=text, parents=[common[computes]])
         if station:
             command.add_argument("station", type=Path, metavar="STATION.toml")
         if work:
@@ -216,7 +237,8 @@ def _add_runs(add: _Add) -> None:
         "--overlay",
         type=Path,
         metavar="FILE.png",
-        help="file for the picture of the cloud over the image; default: STATION-check.png in the current folder",
+        help="file for the picture of the coarse surface on the image; default: in the current folder, the name of the station file with "
+        "-check.png (station-check.png)",
     )
     steps = {name: add(name, text) for name, (_, _, text) in STEP_COMMANDS.items()}
     of_a_run = _leaves("assess", None, "report/index.html  (report)")
@@ -247,15 +269,17 @@ def _add_runs(add: _Add) -> None:
 
 
 def _add_uses_of_a_workspace(add: _Add) -> None:
-    report = add("report", "rebuild the report of a workspace", station=False, work=False)
+    report = add("report", "rebuild the report of a workspace", station=False, work=False, computes=False)
     report.add_argument("work", type=Path, metavar="WORK", help="workspace folder; or, with -o, the station file")
     report.add_argument(
         "-o", "--output", type=Path, metavar="WORK", help="workspace folder of the station, as for the other steps"
     )
-    view = add("view", "open the report of a workspace in the web browser", station=False, work=False)
-    view.add_argument("work", type=Path, metavar="WORK")
-    export = add("export", "write the surface of a workspace for another program", station=False, work=False)
-    export.add_argument("work", type=Path, metavar="WORK")
+    view = add("view", "open the report of a workspace in the web browser", station=False, work=False, computes=False)
+    view.add_argument("work", type=Path, metavar="WORK", help="workspace folder, or folder of an object's results")
+    export = add(
+        "export", "write the surface of a workspace for another program", station=False, work=False, computes=False
+    )
+    export.add_argument("work", type=Path, metavar="WORK", help="workspace folder")
     export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
     export.add_argument(
@@ -295,12 +319,23 @@ def _add_chart(commands: _Commands) -> None:
         help="pixels of the centers of dark skin, bluish green, black, white; default: the chart is searched for",
     )
     chart.add_argument(
-        "--response", default="linear", metavar="linear|srgb|gamma:X", help="response of the image; default: linear"
+        "--response",
+        default="linear",
+        metavar="linear|srgb|gamma:X",
+        help="encoding of the image; srgb for a camera's JPEG; default: linear",
+    )
+    chart.add_argument(
+        "--white-level", type=float, metavar="DN", help="as in the station file; default: full scale of the file"
+    )
+    chart.add_argument(
+        "--black-level", type=float, default=0.0, metavar="DN", help="as in the station file; default: 0"
     )
 
 
 def _add_compare(add: _Add) -> None:
-    dates = add("compare", "what changed between two workspaces of one object", station=False, work=False)
+    dates = add(
+        "compare", "what changed between two workspaces of one object", station=False, work=False, computes=False
+    )
     dates.add_argument("before", type=Path, metavar="BEFORE", help="workspace of the earlier date")
     dates.add_argument("after", type=Path, metavar="AFTER", help="workspace of the later date")
     dates.add_argument(
@@ -319,8 +354,8 @@ def _add_compare(add: _Add) -> None:
 
 
 def _add_import(commands: _Commands) -> None:
-    start = commands.add_parser("import", help="station file for a folder of polarized images")
-    start.add_argument("folder", type=Path, metavar="FOLDER")
+    start = commands.add_parser("import", help="write a station file for a folder of polarized images")
+    start.add_argument("folder", type=Path, metavar="FOLDER", help="folder with the polarized images")
     start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
     start.add_argument(
         "--table", type=Path, metavar="FILE.csv", help="images and angles; default: the folder's CSV file"
@@ -351,9 +386,9 @@ def _add_import(commands: _Commands) -> None:
 
 
 def _add_many_stations(add: _Add) -> None:
-    many = add("batch", "many stations: one merged table and page over all of them", station=False, work=False)
+    many = add("batch", "run many stations; one merged table and page over all of them", station=False, work=False)
     many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
-    whole = add("object", "many stations of one object: one surface of all of them", station=False, work=False)
+    whole = add("object", "run the stations of one object; one surface of all of them", station=False, work=False)
     whole.add_argument("object", type=Path, metavar="OBJECT.toml")
     for command in (many, whole):
         command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
@@ -573,7 +608,7 @@ def _check(args: argparse.Namespace) -> None:
             return
         print(f"object {thing.name}: {len(plans)} stations, {seconds:.0f} s one after another")
         _print_lines(f"  {surface}")
-        print(f"expected: {surface_seconds:.0f} s")
+        print(f"expected: about {surface_seconds:.0f} s")
         for plan in plans:
             _print_plan(plan)
         return
@@ -595,12 +630,14 @@ def _print_plan(plan: dict[str, Any]) -> None:
     name = f"{plan['station']} ({plan['name']})" if "station" in plan else plan["name"]
     print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     _print_lines(*(f"  {line}" for line in plan["does"]))
-    print(f"expected: {plan['seconds']:.0f} s, {plan['memory_mb']:.0f} MB")
+    print(f"expected: about {plan['seconds']:.0f} s and {plan['memory_mb']:.0f} MB of memory")
     _print_lines(*([f"warning: {warning}" for warning in plan["warnings"]] or ["no warnings"]))
     if "overlay" in plan:
         picture = plan["overlay"] or "none, this folder cannot be written to (--overlay)"
         shown = (
-            "the cloud on the image" if any(line.startswith("prior:") for line in plan["does"]) else "image and mask"
+            "the coarse surface on the image"
+            if any(line.startswith("prior:") for line in plan["does"])
+            else "image and mask"
         )
         print(f"picture of {shown}: {picture}")
 
@@ -816,7 +853,13 @@ def _run(arguments: Sequence[str] | None) -> None:
         return
     if args.command == "chart":
         corners = _numbers("--corners", args.corners, "eight numbers: x,y of four patches")
-        correction = measure_chart(args.source, corners=corners, response=args.response)
+        correction = measure_chart(
+            args.source,
+            corners=corners,
+            response=args.response,
+            white_level=args.white_level,
+            black_level=args.black_level,
+        )
         print(correction.save(args.output), correction.summary(), sep="\n")
         return
     if args.command == "studio":

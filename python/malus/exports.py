@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from malus import _core, archive, drawings, exported
 from malus._extra import extra
-from malus._files import UNTIL_LEFT_S, remove_unfinished, replacing, write_bytes, write_text, writing
+from malus._files import UNTIL_LEFT_S, remove_unfinished, replacing, write_text, writing
 from malus.albedo import albedo_of
 from malus.chart import ColorCorrection
 from malus.colmap_export import write_colmap_workspace
@@ -199,12 +199,13 @@ def _write_ply(exporter: Exporter, path: Path) -> None:
 def _write_glb(exporter: Exporter, path: Path) -> None:
     mesh = exporter.simplified()
     workspace = exporter.workspace
-    _core.write_glb(
-        str(path), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
-        exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
-    )  # fmt: skip
-    if exporter.wishes.y_up:
-        _turn_y_up(path)
+    with replacing(path) as temporary:  # so that a model that is not turned yet never has the final name
+        _core.write_glb(
+            str(temporary), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
+            exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
+        )  # fmt: skip
+        if exporter.wishes.y_up:
+            _turn_y_up(temporary)
 
 
 def _turn_y_up(path: Path) -> None:
@@ -216,7 +217,7 @@ def _turn_y_up(path: Path) -> None:
     for scene in document["scenes"]:
         document["nodes"].append({"name": "y up", "rotation": [-half, 0, 0, half], "children": scene["nodes"]})
         scene["nodes"] = [len(document["nodes"]) - 1]
-    write_bytes(path, glb.container(document, content[28 + length :]))
+    path.write_bytes(glb.container(document, content[28 + length :]))
 
 
 def _write_stl(exporter: Exporter, path: Path) -> None:

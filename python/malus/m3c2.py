@@ -44,14 +44,16 @@ def py4dgeo() -> ModuleType:
     return library
 
 
-def _aligned(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
-    """Points moved into the reference's frame by the alignment of `malus assess`; unchanged if there is no comparison."""
+def _aligned(
+    points: NDArray[np.float64], direction: NDArray[np.float64], comparison: dict[str, Any] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and a direction moved into the reference's frame by the alignment of `malus assess`; unchanged if there is no comparison."""
     if not comparison:
-        return points
+        return points, direction
     motion = comparison["reference_from_surface"]
     rotation = np.array(motion["rotation"]).reshape(3, 3)
     moved: NDArray[np.float64] = motion["scale"] * points @ rotation.T + np.array(motion["translation"])
-    return moved
+    return moved, rotation @ direction
 
 
 def distances(
@@ -161,7 +163,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     gsd = float(workspace.quality["gsd"])
     scan = _core.read_points(str(reference))
     _require_as_assessed(workspace, Path(reference))
-    grid = _aligned(workspace.points(), workspace.quality["reference"])
+    grid, towards = _aligned(workspace.points(), -workspace.pose[0][2], workspace.quality["reference"])
     known: NDArray[np.bool_] = np.asarray(np.isfinite(grid).all(-1))
     step = thinning(int(known.sum()))
     core = known[::step, ::step]
@@ -182,7 +184,7 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
         surface,
         radius=chosen,
         largest=50 * gsd,
-        towards=-workspace.pose[0][2],
+        towards=towards,
     )
     if not np.isfinite(found).any():
         raise DataError(

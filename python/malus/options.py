@@ -32,6 +32,18 @@ MAIN = {
 }
 
 
+def allowed(name: str) -> str:
+    """The values that an option may have, in words, such as "a number (0 to 1)"."""
+    section, key = name.split(".")
+    field = _SCHEMA[section][key]
+    # Not by %g, which would write a billion with an exponent.
+    low, high = (f"{field[end]:.9f}".rstrip("0").rstrip(".") if end in field else None for end in ("min", "max"))
+    if low is None and high is None:
+        return str(field["type"])
+    bounds = f"{high} or less" if low is None else f"{low} or more" if high is None else f"{low} to {high}"
+    return f"{field['type']} ({bounds})"
+
+
 class Options(Sections):
     """Options of a reconstruction.
 

@@ -18,7 +18,7 @@ from malus.station import Station
 _LONG_SIDE_PX, _DPI, _PANEL_INCHES, _HEAD_INCHES, _MARGIN_INCHES = 1000, 130, 6.4, 0.35, 1.2
 _OUTLINE = "#ff3fd0"
 _CAPTION = (
-    "Left: the first polarized image. Right: the coarse surface's points where the camera of the station file sees them, "
+    "First panel: the first polarized image. Second panel: the coarse surface's points where the camera of the station file sees them, "
     "colored by their distance. Edges and steps of the points should lie on those of the image, and the mask's outline on the object's."
 )
 

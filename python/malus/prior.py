@@ -11,13 +11,13 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from malus import _core
-from malus._arrays import as_image, as_mask, as_rows, as_triangles
+from malus._arrays import as_mask, as_rows, as_triangles
 from malus._core import DepthPrior
 from malus._plain import plain
-from malus.camera import Camera
+from malus.camera import Camera, as_view
 from malus.options import Options
 from malus.station import ShapeValues
 from malus.threads import ALL_CORES
@@ -82,7 +82,7 @@ def project_depth(
 ) -> DepthPrior:
     """As `project_points`, for a depth map (H×W, z in the camera, NaN = none), whose holes on the object are filled."""
     return _core.project_depth(
-        _raster(depth, "depth", camera),
+        as_view(depth, "depth", camera),
         camera,
         as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
@@ -139,19 +139,11 @@ def project_swept(
     depths. ValueError for rasters of another shape than the camera's; malus.DataError if hardly any pixel has a depth.
     """
     return _core.project_swept(
-        _raster(depth, "depth", camera),
-        _raster(sigma, "sigma", camera),
-        None if surface is None else _raster(surface, "surface", camera),
+        as_view(depth, "depth", camera),
+        as_view(sigma, "sigma", camera),
+        None if surface is None else as_view(surface, "surface", camera),
         camera,
         as_mask(mask, (camera.height, camera.width)),
         (options or Options()).to_json(),
         threads,
     )
-
-
-def _raster(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]:
-    """The values as an H×W array of the camera's size; ValueError for another shape."""
-    raster = as_image(values, name)
-    if raster.shape != (camera.height, camera.width):
-        raise ValueError(f"{name} has shape {raster.shape}, expected {(camera.height, camera.width)} as the camera")
-    return raster

@@ -82,6 +82,7 @@ class ProgressView:
 
     def __init__(self) -> None:
         self._overall = Overall([])
+        self._warnings: list[str] = []
 
     def expect(self, expected: Sequence[tuple[str, float]], *, guessed: bool = False) -> None:
         """Set the steps to come and the seconds that each is expected to take; guessed: only their ratios are meaningful."""
@@ -91,7 +92,15 @@ class ProgressView:
         """One progress event: `fraction` of `step` is done."""
 
     def log(self, level: str, message: str) -> None:
-        """One log line of level debug, info or warning."""
+        """One log line of level debug, info or warning. A run repeats the warnings of steps that were done before: each is told once."""
+        if level == "warning":
+            if message in self._warnings:
+                return
+            self._warnings.append(message)
+        self._tell(level, message)
+
+    def _tell(self, level: str, message: str) -> None:
+        """Tell a log line for the first time."""
 
     def result(self, level: str | None, reasons: Sequence[str], assessed: bool) -> None:
         """The confidence in the surface, once the run is done; level None = there is no surface."""
@@ -111,7 +120,7 @@ class ProgressView:
 class WarningsOnly(ProgressView):
     """Prints each warning immediately, as a line on standard error, and nothing else."""
 
-    def log(self, level: str, message: str) -> None:
+    def _tell(self, level: str, message: str) -> None:
         """Print warnings."""
         if level == "warning":
             print(f"warning: {message}", file=sys.stderr, flush=True)
@@ -123,7 +132,6 @@ class JsonProgress(ProgressView):
     def __init__(self) -> None:
         super().__init__()
         self._start = time.monotonic()
-        self._warnings: list[str] = []
 
     def _write(self, **event: Any) -> None:
         print(json.dumps({**event, "seconds": round(time.monotonic() - self._start, 3)}), flush=True)
@@ -140,11 +148,8 @@ class JsonProgress(ProgressView):
             seconds_left=None if (left := self._overall.seconds_left) is None else round(left, 1),
         )
 
-    def log(self, level: str, message: str) -> None:
+    def _tell(self, level: str, message: str) -> None:
         """Write a log object."""
-        # A run that fuses twice repeats the warnings of the steps before fusion.
-        if level == "warning" and message not in self._warnings:
-            self._warnings.append(message)
         self._write(event="log", level=level, message=message)
 
     def result(self, level: str | None, reasons: Sequence[str], assessed: bool) -> None:
@@ -202,7 +207,7 @@ class BarProgress(ProgressView):
             message=f"{100 * self._overall.fraction:.0f} %, {left}",
         )
 
-    def log(self, level: str, message: str) -> None:
+    def _tell(self, level: str, message: str) -> None:
         """Print warnings above the bars."""
         if level == "warning":
             # As Text: in a plain string, rich would take words in brackets such as [optics] for markup and drop them.

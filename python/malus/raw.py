@@ -68,7 +68,8 @@ def is_image(path: Path) -> bool:
 def develop(
     images: Sequence[Path], channel: str, folder: Path, progress: Callable[[float, str], None] = lambda _, __: None
 ) -> Developed:
-    """Develop RAW files into `folder`, one floating-point TIFF each; images developed earlier are reused if they are unchanged.
+    """Develop RAW files into `folder`, one floating-point TIFF each; images developed earlier are reused if they are unchanged, and
+    removed if they are of other files or were developed otherwise.
 
     Black and white level come from the files. There is no brightening, no white balance and no rotation; colors are the camera's
     own. The Bayer pattern is interpolated linearly, so that all images of a station are treated alike; what is interpolated from
@@ -96,6 +97,8 @@ def develop(
                 _core.write_float_tiff(str(temporary), np.ascontiguousarray(pixels))
             kept = unnamed.replace(_named_by_content(unnamed, name))
         developed.append(kept)
+    for left in set(folder.glob("*.tif")).difference(developed):  # of other files, another channel or another version
+        left.unlink(missing_ok=True)
     full_well_e, read_noise_e = _noise(images[0])
     return Developed(developed, full_well_e, read_noise_e)
 

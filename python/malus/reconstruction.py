@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
 from malus.photogrammetry.front_end import camera_of
+from malus.photogrammetry.memory import limit_mb
 from malus.photogrammetry.plan import Plan
 from malus.result import Confidence, Result
 from malus.station import Station
@@ -90,11 +90,11 @@ def reconstruct(
 
     def save(folder: Path) -> None:
         """Write steps whose results are in memory, without repeating them."""
-        with _folder(None, "raw") as again:
-            _core.reconstruct(
-                _readable(station, core, again, lambda _, __: None), settings.to_json(), threads, workspace=str(folder),
-                replace=True, reference=None if reference is None else str(reference), keep_maps=False, known=results,
-            )  # fmt: skip
+        _core.claim_workspace(str(folder), station._core, True)
+        _core.reconstruct(
+            _readable(station, core, folder / "raw", lambda _, __: None), settings.to_json(), threads, workspace=str(folder),
+            replace=True, reference=None if reference is None else str(reference), keep_maps=False, known=results,
+        )  # fmt: skip
 
     for path in (workspace, reference):
         if path is not None:
@@ -108,7 +108,7 @@ def reconstruct(
         if cameras is not None or _needs_photos(station, until):
             with _folder(workspace, "prior/colmap") as folder:
                 log = log or (lambda _, __: None)
-                core = _with_photos(_described(station), core, settings, folder, run, threads, report, log, cameras)
+                core = _with_photos(station.describe(), core, settings, folder, run, threads, report, log, cameras)
         outcome = run(core, until, keep=keep_maps)
     if workspace is not None and log is not None:
         for told in _core.overtaken_exports(str(workspace)):
@@ -146,14 +146,6 @@ def unpolarized_scene(
         core, options.to_json(), threads, workspace=str(workspace), replace=True, until="polarization"
     )
     return np.asarray(outcome["scene"], np.float32), np.asarray(outcome["valid"], np.uint8)
-
-
-def _described(station: Station) -> dict[str, Any]:
-    """The station's description, whose `path` names it in messages even if it is made of arrays, and which has the checksum of
-    labels that are an array.
-    """
-    description = station.describe()
-    return {"path": f"station {description['name']}", "labels_sha256": station._labels_sha256, **description}
 
 
 def _needs_photos(station: Station, until: str | None) -> bool:
@@ -303,7 +295,7 @@ def expected_times(
     cameras_known: as in `check`. Only the images' size and the mask are read; raises the errors that a run raises for these.
     """
     settings = options or Options()
-    description = _described(station)
+    description = station.describe()
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
     times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
@@ -347,14 +339,18 @@ def prior_upon_image(
 
 
 def _add_memory(plan: dict[str, Any], photos_mb: float) -> None:
-    """Add the memory of the photos' stages to the plan, and a warning if these stages, and no other steps, exceed the machine's memory."""
-    machine_mb = 1e-6 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if photos_mb >= machine_mb > plan["memory_mb"]:
-        plan["warnings"].append(
-            f"the photos are expected to take {photos_mb / 1000:.0f} GB of memory, of which this machine has "
-            f"{machine_mb / 1000:.0f} GB: take fewer or halved photos, or fewer threads"
-        )
-    plan["memory_mb"] = max(plan["memory_mb"], photos_mb)
+    """Add the memory of the photos' stages to the plan, and a warning if the run exceeds the memory that it may have."""
+    steps_mb, allowed_mb = plan["memory_mb"], limit_mb()
+    plan["memory_mb"] = max(steps_mb, photos_mb)
+    if plan["memory_mb"] < allowed_mb:
+        return
+    advice = (
+        "mask what is not the object, or halve the images" if steps_mb >= allowed_mb else "take fewer or halved photos"
+    )
+    plan["warnings"].append(
+        f"the run is expected to take {plan['memory_mb'] / 1000:.2g} GB of memory, of which it may have "
+        f"{allowed_mb / 1000:.2g} GB here: take fewer threads, {advice}"
+    )
 
 
 def check(
@@ -381,13 +377,15 @@ def check(
             if overlay is not None and picture is not None:
                 write_overlay(Path(overlay), picture, station, [str(error)])
             raise
+    photos_mb = 0.0
     if _needs_photos(station, None):
-        planned = _planned(_described(station), settings, threads, plan["width"], plan["height"], known=cameras_known)
+        planned = _planned(station.describe(), settings, threads, plan["width"], plan["height"], known=cameras_known)
         # Listed after the polarization step, whose image is oriented among the photos.
         plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
         plan["warnings"] += [] if cameras_known else planned.warnings
         stages = [planned.sweeping] if cameras_known else [planned.finding, planned.sweeping]
-        _add_memory(plan, max(stage.memory_mb for stage in stages))
+        photos_mb = max(stage.memory_mb for stage in stages)
+    _add_memory(plan, photos_mb)
     times = expected_times(station, settings, cameras_known=cameras_known, threads=threads)
     plan["seconds"] = sum(seconds for _, seconds in times)
     if overlay is not None and picture is not None:

@@ -286,9 +286,12 @@ class Station:
         return str(self.describe()["unit"])
 
     def describe(self) -> dict[str, Any]:
-        """All values of the station, as plain data."""
+        """All values of the station, as plain data. `path`: its file; for a station made in code, words that name it in messages.
+        `labels_sha256`: checksum of labels that are an array, else None.
+        """
         description: dict[str, Any] = json.loads(self._core.describe())
-        return description
+        named = {"path": f"station {description['name']}", "labels_sha256": self._labels_sha256}
+        return {**named, **description}
 
     def __repr__(self) -> str:
         description = self.describe()

@@ -199,24 +199,24 @@ def shots_of(
     if table is None and len(tables) == 1:
         table = tables[0]
     if table is not None:
-        return _all_once(_shots_of_table(folder, Path(table)), images, Path(table))
+        return _all_once(_shots_of_table(folder, Path(table)), images, str(table))
     shots = _shots_of_sidecars(folder, images)
     if shots:
-        return shots
+        return _all_once(shots, images, f"the JSON files of {folder}")
     found = _core.angles_of_names(images, str(folder), f"expected {instead}")
     return [Shot(path, angle) for path, angle in zip(images, found, strict=True)]
 
 
-def _all_once(shots: list[Shot], images: list[Path], table: Path) -> list[Shot]:
-    """The table's shots; InputError unless the table lists every image of the folder exactly once."""
+def _all_once(shots: list[Shot], images: list[Path], source: str) -> list[Shot]:
+    """The shots that a table or files list; InputError unless they list every image of the folder exactly once."""
     listed = [resolved(shot.image) for shot in shots]
     twice = sorted({path.name for path in listed if listed.count(path) > 1})
     if twice:
-        raise InputError(f"{table}: {', '.join(twice)} stands there more than once, expected every image once")
+        raise InputError(f"{source}: {', '.join(twice)} stands there more than once, expected every image once")
     missing = [path.name for path in images if resolved(path) not in listed]
     if missing:
         raise InputError(
-            f"{table}: {', '.join(missing)} of {images[0].parent} {'is' if len(missing) == 1 else 'are'} not in it, "
+            f"{source}: {', '.join(missing)} of {images[0].parent} {'is' if len(missing) == 1 else 'are'} not listed, "
             "expected every image of the folder (move other images elsewhere)"
         )
     return shots

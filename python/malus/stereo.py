@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import as_image, as_mask, as_rows
-from malus.camera import Camera
+from malus.camera import Camera, as_view
 from malus.options import Options
 from malus.threads import ALL_CORES
 
@@ -62,14 +62,7 @@ class SweepResult:
 
 
 def _as_photo(image: ArrayLike | Path, camera: Camera, name: str) -> NDArray[np.float32] | str:
-    return str(image) if isinstance(image, Path) else _as_view_image(image, camera, name)
-
-
-def _as_view_image(image: ArrayLike, camera: Camera, name: str) -> NDArray[np.float32]:
-    array = as_image(image, name)
-    if array.shape != (camera.height, camera.width):
-        raise ValueError(f"{name} has shape {array.shape}, expected {(camera.height, camera.width)} as its camera")
-    return array
+    return str(image) if isinstance(image, Path) else as_view(image, name, camera)
 
 
 def sweep(
@@ -99,7 +92,7 @@ def sweep(
     semi-global matching (Hirschmüller 2008); sigma from disjoint halves of the photos.
     """
     found = _core.sweep_surface(
-        _as_view_image(intensity, camera, "intensity"),
+        as_view(intensity, "intensity", camera),
         camera.values(),
         [(_as_photo(image, view, f"views[{k}]"), view.values()) for k, (image, view) in enumerate(views)],
         as_rows(points, "points"),

@@ -320,7 +320,7 @@ unit = "mm"
 
 [polarized]
 images = {json.dumps(names)}
-angles_deg = {list(how.angles_deg)}
+angles_deg = {[float(angle) for angle in how.angles_deg]}
 frames_averaged = {how.frames_averaged}
 full_well_e = {how.full_well_e}
 read_noise_e = {how.read_noise_e}

@@ -338,7 +338,7 @@ def disturbances(attack: Attack) -> list[Callable[[], None]]:
     if not may_mount(attack.folder / "disk"):
         print("disks, permissions and control groups take root's rights: left out")
         return tasks
-    for step, _, _ in _core.describe_run(Options(fusion="grid").to_json(), None):
+    for step, _, _, _ in _core.describe_run(Options(fusion="grid").to_json(), None):
         tasks.append(lambda step=step: attack.on_read_only_disk(step))  # type: ignore[misc]
         tasks.append(lambda step=step: attack.without_permission(step))  # type: ignore[misc]
         for free_kb in FREE_KB:

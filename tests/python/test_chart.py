@@ -15,6 +15,7 @@ from PIL import Image, ImageCms
 import malus
 from conftest import malus_here
 from malus import chart, synthetic
+from test_raw import write_dng
 
 with np.printoptions():  # its import changes how numpy prints numbers for all tests that follow
     colour = pytest.importorskip("colour")
@@ -58,6 +59,32 @@ def test_the_cameras_colors_are_found(photograph: tuple[Path, np.ndarray], tmp_p
     # Pixel noise of 0.3 % of white, averaged over each patch.
     assert found.delta_e.mean() < 0.5 and found.delta_e_left_out.max() < 2
     np.testing.assert_allclose(found.corners, corners, atol=6)
+
+
+def test_levels_are_those_of_the_station(photograph: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    """Of 14 bits in a file of 16 the chart was taken four times too dark, and exports were four times too bright."""
+    levels = tifffile.imread(photograph[0]) / 65535
+    path = tmp_path / "chart.tif"
+    tifffile.imwrite(path, np.rint(512 + levels * (16383 - 512)).astype(np.uint16))
+    told = malus_here("chart", path, "-o", tmp_path / "c.json", "--white-level", "16383", "--black-level", "512")
+    assert told.code == 0, told.err
+    found = chart.ColorCorrection.load(tmp_path / "c.json")
+    np.testing.assert_allclose(found.matrix @ CAMERA * 0.8, np.eye(3), atol=0.02)
+    with pytest.raises(malus.InputError, match="white_level = 100 must be above black_level = 512"):
+        chart.measure_chart(path, white_level=100, black_level=512)
+
+
+def test_a_raw_file_of_the_chart_has_its_own_levels(photograph: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    linear, corners = tifffile.imread(photograph[0]) / 65535, photograph[1]
+    mosaic = linear[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = linear[::2, ::2, 0], linear[1::2, 1::2, 2]
+    write_dng(tmp_path / "chart.dng", mosaic)
+    given = corners.ravel().tolist()
+    found = chart.measure_chart(tmp_path / "chart.dng", corners=given)
+    np.testing.assert_allclose(found.matrix, chart.measure_chart(photograph[0], corners=given).matrix, atol=0.02)
+    with pytest.raises(malus.InputError, match="level are not for RAW files"):
+        chart.measure_chart(tmp_path / "chart.dng", corners=given, white_level=16383)
 
 
 def test_unusable_charts_are_refused(photograph: tuple[Path, np.ndarray], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import malus
 from conftest import malus_here, run_program
 from malus import cli, progress
 from malus.options import MAIN
-from malus.progress import BarProgress, JsonProgress, Overall, duration
+from malus.progress import BarProgress, JsonProgress, Overall, ProgressView, WarningsOnly, duration
 
 
 @pytest.fixture
@@ -84,14 +84,19 @@ def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     assert capsys.readouterr().out == "1 of 2 stations failed\n  o1: no such file\n"
 
 
-def test_json_result_lists_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:
-    view = JsonProgress()
+@pytest.mark.parametrize("kind", [BarProgress, WarningsOnly, JsonProgress])
+def test_a_warning_is_told_once(capsys: pytest.CaptureFixture[str], kind: type[ProgressView]) -> None:
+    """A run with photos is two runs: the second repeats the warnings of the steps that the first has done."""
+    view = kind()
     for message in ("doubtful", "strange", "doubtful"):
         view.log("warning", message)
     view.result("high", [], True)
-    *events, last = map(json.loads, capsys.readouterr().out.splitlines())
-    assert [event["message"] for event in events] == ["doubtful", "strange", "doubtful"]
-    assert last["warnings"] == ["doubtful", "strange"]
+    told = capsys.readouterr()
+    if kind is not JsonProgress:
+        assert told.err == "warning: doubtful\nwarning: strange\n"
+        return
+    *events, last = map(json.loads, told.out.splitlines())
+    assert [event["message"] for event in events] == ["doubtful", "strange"] == last["warnings"]
 
 
 def unread(*command: str | Path, errors_too: bool = False) -> tuple[int, str | None]:
@@ -240,6 +245,15 @@ def test_misspelled_words_get_a_suggestion() -> None:
     ):
         outcome = malus_here(*words)
         assert outcome.code == 2 and said in outcome.err, outcome.err
+
+
+def test_help_shows_only_options_that_do_something() -> None:
+    """Options of steps do nothing in commands on a finished workspace, which take them all the same: a mistake in them is told."""
+    for command in ("view", "export", "report", "compare", "fuse"):
+        words = malus_here(command, "--help").out
+        assert all(
+            (option in words) == (command == "fuse") for option in ("--set", "--options", "--fusion", "--preset")
+        )
 
 
 def test_help_has_no_equation_or_figure_numbers() -> None:

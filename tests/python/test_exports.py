@@ -424,6 +424,18 @@ def test_glb_describes_its_object_and_can_have_y_up(workspace: malus.Workspace, 
     assert len(plain.faces) > 10000
 
 
+def test_a_model_that_is_not_turned_yet_has_no_final_name(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(exports, "_turn_y_up", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        malus.export(workspace.folder, "glb", tmp_path / "up.glb", y_up=True)
+    assert not list(tmp_path.iterdir())
+
+
 def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     path = malus.export(workspace.folder, "orthophoto", tmp_path / "a.png")

@@ -134,6 +134,22 @@ def test_sidecars_with_a_plain_angle(folder: Path, suffix: str) -> None:
     assert polarized(folder / "station.toml")["angles_deg"] == [0, 60, 120]
 
 
+def test_json_files_must_describe_every_image_once(folder: Path) -> None:
+    """Images without one were left out of the station without a word."""
+    for number in range(4):
+        image(folder / f"{number}.png")
+        if number:
+            (folder / f"{number}.json").write_text(json.dumps({"angle": 45 * number}))
+    with pytest.raises(
+        malus.InputError, match=r"the JSON files of .*: 0\.png of .* is not listed, expected every image"
+    ):
+        malus.import_station(folder, folder / "station.toml")
+    (folder / "first.json").write_text(json.dumps({"angle": 0, "filename": "0.png"}))
+    (folder / "again.json").write_text(json.dumps({"angle": 0, "filename": "0.png"}))
+    with pytest.raises(malus.InputError, match=r"the JSON files of .*: 0\.png stands there more than once"):
+        malus.import_station(folder, folder / "station.toml")
+
+
 def test_hidden_files_are_not_read(folder: Path) -> None:
     for name in ("1.png", "2.png", "3.png"):
         image(folder / name)

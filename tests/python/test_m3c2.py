@@ -96,6 +96,14 @@ def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
         assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 1
 
 
+def test_the_direction_of_positive_distances_is_aligned_as_the_points_are() -> None:
+    motion = {"scale": 2.0, "rotation": [1, 0, 0, 0, 0, -1, 0, 1, 0], "translation": [1, 2, 3]}
+    point, towards = np.array([[0.0, 0.0, 5.0]]), np.array([0.0, 0.0, -1.0])
+    moved, turned = m3c2._aligned(point, towards, {"reference_from_surface": motion})
+    nearer, _ = m3c2._aligned(point + towards, towards, {"reference_from_surface": motion})
+    np.testing.assert_allclose((nearer - moved)[0], 2 * turned)
+
+
 def test_distances_without_a_limit_are_not_called_insignificant() -> None:
     """They counted as below their limit, although a cylinder with too few points has none."""
     found, limits = np.array([2.0, 0.1, 3.0, 4.0, np.nan]), np.array([1.0, 1.0, np.nan, np.nan, np.nan])

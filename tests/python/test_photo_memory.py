@@ -135,15 +135,50 @@ def test_free_memory_limits_the_threads_of_the_feature_search(
     assert bool(warned) == (left_mb == 100), warned
 
 
-def test_free_memory_is_within_the_limit_of_the_control_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_memory_is_within_the_limit_of_the_control_group(monkeypatch: pytest.MonkeyPatch) -> None:
     free = memory.available_mb()
     assert 10 < free < 1e8
-    limit = tmp_path / "memory.max"
-    monkeypatch.setattr(memory, "_GROUP_LIMIT", limit)
-    limit.write_text("max\n")
-    assert memory.available_mb() > 0.5 * free
-    limit.write_text(f"{(memory.resident_mb() + 5) * MB:.0f}\n")
+    monkeypatch.setattr(memory, "group_limits_mb", lambda: [1e9, memory.resident_mb() + 5])
     assert memory.available_mb() < 10
+    assert memory.limit_mb() == pytest.approx(memory.resident_mb() + 5, abs=5)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "limits"),
+    [
+        ("0::/\n", {"memory.max": "4000000\n"}, [4]),
+        # A job of a batch queue: the limit is that of a group around the one of its step.
+        (
+            "0::/slurm/job_7/step_0\n",
+            {
+                "slurm/job_7/step_0/memory.max": "max\n",
+                "slurm/job_7/memory.max": "3000000\n",
+                "slurm/memory.max": "max\n",
+            },
+            [3],
+        ),
+        ("0::/\n", {"memory.max": "max\n"}, []),
+        (
+            "5:cpu,cpuacct:/job\n4:memory:/job\n0::/\n",
+            {"memory/job/memory.limit_in_bytes": "2000000\n", "memory/memory.limit_in_bytes": "9000000\n"},
+            [2, 9],
+        ),
+        # A container that sees the host's path, but has only its own group.
+        ("4:memory:/docker/1f\n", {"memory/memory.limit_in_bytes": "2000000\n"}, [2]),
+        (None, {}, []),
+    ],
+)
+def test_limits_of_control_groups_are_found(
+    tmp_path: Path, groups: str | None, files: dict[str, str], limits: list[float]
+) -> None:
+    (tmp_path / "proc/self").mkdir(parents=True)
+    if groups is not None:
+        (tmp_path / "proc/self/cgroup").write_text(groups)
+    for name, text in files.items():
+        file = tmp_path / "sys/fs/cgroup" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    assert memory.group_limits_mb(tmp_path) == limits
 
 
 def test_expected_memory_is_that_of_the_largest_stage() -> None:

@@ -212,6 +212,10 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     assert outcome.code == 0, outcome
     for words in ("4 with 1 self-calibrated lens", "6 pairs", "COLMAP 3.8", "neither [[scale]] nor", "EXIF"):
         assert words in outcome.out, words
+    with photo_station.open("a") as file:
+        for words in ("distance = 30\ntargets = [1, 2]", "distance = 40\ntargets = [2, 3]\ncheck = true"):
+            file.write(f'\n[[scale]]\n{words}\ntargets_dictionary = "aruco_4x4_50"\n')
+    assert "scale: 1 known distance; 1 more checks it" in package.check(package.Station.load(photo_station))["does"]
     assert not fake_colmap.exists()
 
 
@@ -453,6 +457,24 @@ def test_photos_are_listed_in_natural_order_and_excluded_by_pattern(tmp_path: Pa
     photos = list_photos(tmp_path, ["blurred_*"])
     assert [photo.name for photo in photos] == ["p_9.png", "p_10.png", "sub/p_1.png"]
     assert (photos[0].width, photos[0].height) == (12, 8)
+
+
+def test_photos_of_other_formats_are_counted(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.png", "c.tif", "h_blurred.jpg"):
+        Image.fromarray(np.zeros((8, 12), np.uint8)).save(tmp_path / name)
+    others = ("a.NEF", "d.nef", "sub/e.HEIC", "f.webp", "notes.txt", ".hidden.nef", "masks/g.webp", "g_blurred.nef")
+    for name in others:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    said = {"folder": str(tmp_path), "exclude": ["*_blurred*"], "masks": None}
+    warnings: list[str] = []
+    photos = photo_cameras.enough_photos_of(said, lambda _, message: warnings.append(message))
+    assert [photo.name for photo in photos] == ["a.jpg", "b.png", "c.tif"]
+    # a.NEF lies beside its JPEG.
+    assert warnings == ["[photos]: 4 files (.heic, .nef, .webp) cannot be read as photos, expected PNG, TIFF or JPEG"]
+    (tmp_path / "c.tif").unlink()
+    with pytest.raises(package.DataError, match=r"has 2 photos, .*; 4 files \(\.heic, \.nef, \.webp\) cannot be read"):
+        photo_cameras.enough_photos_of(said, lambda *_: None)
 
 
 def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:

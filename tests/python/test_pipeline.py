@@ -244,10 +244,11 @@ def test_python_arrays_give_the_same_surface(finished: Path, small_station_sourc
     assert result.normals is not None and result.normals.shape == (160, 200, 3)
 
 
-def leaves(command: str) -> set[str]:
-    """Files that the help of a command says it leaves."""
+def leaves(command: str, *, surely: bool = True) -> set[str]:
+    """Files that the help of a command says it leaves, surely or in some runs."""
     text = malus_here(command, "--help").out
-    return {line.split()[0] for line in text[text.index("leaves in WORK:") :].splitlines()[1:]}
+    lines = text[text.index("leaves in WORK:") :].splitlines()[1:]
+    return {line.split()[0] for line in lines if ("if there is one" not in line) == surely}
 
 
 def files_of(work: Path) -> set[str]:
@@ -257,21 +258,17 @@ def files_of(work: Path) -> set[str]:
 def test_every_command_leaves_what_its_help_says(tiny_station_source: Path, tmp_path: Path) -> None:
     """All in one workspace, each command on the files that the commands before it have left."""
     work = tmp_path / "work"
-    expected = {"manifest.json"}
     for command in ("decompose", "prior", "fuse", "refine", "height", "mesh", "assess"):
         before = files_of(work) if work.exists() else set()
         outcome = malus_here(command, tiny_station_source / "station.toml", "-o", work, "--threads", "2", *QUICK_WORDS)
         assert outcome.code == 0, outcome.err
-        assert leaves(command) <= files_of(work), command
-        expected |= leaves(command) | {
-            "mesh": {"fused/dem.tif"},
-            "decompose": {"prior/points.png"},
-            "fuse": {"fused/trust.png"},
-        }.get(command, set())
-        assert files_of(work) == expected | before, command
+        assert leaves(command) | before <= files_of(work), command
+        further = files_of(work) - before - leaves(command) - {"manifest.json"}
+        assert further <= leaves(command, surely=False), command
         if command == "fuse":
             assert "fused/depth.tif" in leaves(command) and "height/height.tif" not in files_of(work)
     assert leaves("refine") == leaves("fuse")
+    assert {"fused/dem.tif", "prior/points.png", "fused/trust.png"} <= files_of(work) & leaves("run", surely=False)
     assert malus_here("report", work).code == 0
     assert (work / "report/index.html").stat().st_size > 0
     assert leaves("run") == leaves("demo") == leaves("assess") | {"report/index.html"}
@@ -506,7 +503,7 @@ def test_both_programs_end_with_the_confidence(small_station: Path, tmp_path: Pa
 def test_check_leaves_a_picture_of_cloud_and_image(small_station: Path, tmp_path: Path) -> None:
     outcome = malus_here("check", small_station)
     assert outcome.code == 0, outcome.err
-    assert "picture of the cloud on the image: station-check.png" in outcome.out
+    assert "picture of the coarse surface on the image: station-check.png" in outcome.out
     assert "200 x 160 px, 32000 on the object\n" in outcome.out
     right = np.asarray(Image.open(tmp_path / "station-check.png"))
     assert right.ndim == 3 and min(right.shape[:2]) > 400
@@ -537,7 +534,7 @@ def test_check_warns_of_too_little_memory(small_station: Path, tmp_path: Path) -
     # As a program of its own: the threads that it starts would stay in this process.
     outcome = run_malus("check", small_station, "--json", "--threads", "100000")
     assert outcome.code == 0, outcome.err
-    assert any("GB of memory, of which this machine has" in line for line in json.loads(outcome.out)["warnings"])
+    assert any("GB of memory, of which it may have" in line for line in json.loads(outcome.out)["warnings"])
 
 
 def test_ctrl_c_stops_within_a_second_and_leaves_nothing_half_done(small_station: Path, tmp_path: Path) -> None:

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
+from PIL import Image, ImageCms
 
 import malus
 from conftest import malus_here, malus_station
-from malus import raw
+from malus import _core, raw
 from malus._files import sha256_of
 from malus.exif import exposure_doubts, mask_notes
 from malus.photogrammetry import front_end
@@ -104,7 +104,9 @@ def test_images_are_developed_again_only_if_their_content_changed(station: Path,
     assert len(before) == len(ANGLES)
     assert decompose() == before
     write_dng(tmp_path / "pol_000.dng", scene(0) * 0.999)
-    assert len(set(decompose().items()) - set(before.items())) == 1
+    after = decompose()
+    assert len(set(after.items()) - set(before.items())) == 1
+    assert len(after) == len(ANGLES), "the image of the file that was replaced is removed"
 
 
 @pytest.mark.parametrize("damage", ["flipped", "emptied"])
@@ -139,13 +141,47 @@ def test_the_lens_of_raw_files_is_looked_for_among_the_photos(tmp_path: Path) ->
         assert front_end._photo_of_same_camera(said, photos, model, SIZE, lambda _level, _message: None) == name
 
 
+def as_raw(station: Path) -> None:
+    """Replace the images of a station by RAW files."""
+    for path in sorted((station.parent / "pol").iterdir()):
+        write_dng(path.with_suffix(".dng"), tifffile.imread(path) / WHITE)
+    station.write_text(station.read_text().replace(".tif", ".dng").replace(f"white_level = {WHITE}\n", ""))
+
+
+@pytest.mark.parametrize("kind", ["RAW", "of another encoding"])
+def test_a_result_in_memory_is_saved_without_computing_it_again(
+    small_station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """The folder of the developed images, and findings that stood there twice, made every step of the result another one."""
+    if kind == "RAW":
+        pytest.importorskip("rawpy")
+        as_raw(small_station)
+    else:
+        profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+        for path in (small_station.parent / "pol").iterdir():
+            tifffile.imwrite(path, tifffile.imread(path), iccprofile=profile)
+    result = malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"))
+    run, saved = _core.reconstruct, []
+
+    def watched(*arguments: Any, **how: Any) -> Any:
+        saved.append(run(*arguments, **how | {"keep_maps": True}))
+        return saved[-1]
+
+    monkeypatch.setattr(_core, "reconstruct", watched)
+    result.save(tmp_path / "work")
+    (outcome,) = saved
+    assert np.shares_memory(outcome["degree"], result.degree) and np.shares_memory(outcome["depth"], result.depth)
+    workspace = malus.Workspace(tmp_path / "work")
+    messages = [finding["message"] for finding in workspace.findings]
+    assert len(set(messages)) == len(messages) and workspace.manifest["warnings"] == result.warnings
+    missing = [name for name in workspace.manifest["inputs"] if not (small_station.parent / name).is_file()]
+    assert not missing, "the manifest names files that are gone"
+
+
 def test_the_archive_has_the_raw_files_that_were_developed(small_station: Path, tmp_path: Path) -> None:
     for package in ("rawpy", "rocrate", "bagit"):
         pytest.importorskip(package)
-    for path in sorted((small_station.parent / "pol").iterdir()):
-        write_dng(path.with_suffix(".dng"), tifffile.imread(path) / WHITE)
-    text = small_station.read_text().replace(".tif", ".dng").replace(f"white_level = {WHITE}\n", "")
-    small_station.write_text(text)
+    as_raw(small_station)
     work = tmp_path / "work"
     malus.reconstruct(malus.Station.load(small_station), malus.Options(fusion="grid"), workspace=work)
     with zipfile.ZipFile(malus.export(work, "archive")) as file:

@@ -532,7 +532,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(copied: tuple[Path, dict
     }
     bar |= {"rms_px": 0.12, "worst_px": 0.31, "worst_image": "view_03.jpg"}
     quality["scale"] = {
-        "status": "converged", "scale": 12.5, "sigma": 0.004, "unit_weight": 1.07, "redundancy": 5, "distances": [bar],
+        "status": "converged", "scale": 12.5, "sigma": 0.004, "unit_weight": 1.07, "redundancy": 5,
+        "distances": [bar, {**bar, "name": "bar 2", "check": False}],
     }  # fmt: skip
     fit = {"name": "P<1>", "check": False, "offset": [0.1, -0.2, 0.3], "rms_px": 0.4}
     quality["control"] = {
@@ -551,7 +552,8 @@ def test_scale_and_photos_are_shown_when_they_are_known(copied: tuple[Path, dict
     assert shown["control.datum.check_rms"] == "0.35" and "the check points to" not in text
     assert "matches of the polarized image with the photos" in text and "station.matches</td>" not in text
     assert "without point P&lt;1&gt;" in text and "check the camera's pose" in text
-    assert "known to 0.032 % (standard deviation)" in text
+    assert "From 1 known distance; 1 more checks it: the size of everything is known to 0.032 % (standard dev" in text
+    assert "standard deviation, from 1 known distance<" in text
     assert "bar &lt;1&gt;" in text and "bar <1>" not in text
 
 

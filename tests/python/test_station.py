@@ -18,6 +18,7 @@ from PIL import Image
 import malus
 from malus import _core, reconstruction
 from malus import station as tables
+from malus.photogrammetry.control import require_control_points
 
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
@@ -288,7 +289,7 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
     zeros = {name: np.zeros(SIZE, np.float32) for name in ("unpolarized", "degree", "phase_rad")}
 
     def inputs(maps: Any = zeros, options: malus.Options | None = None, **changes: Any) -> dict[str, Any]:
-        description = reconstruction._described(in_memory(pictures, **changes))
+        description = in_memory(pictures, **changes).describe()
         return reconstruction._fused_of(description, maps, options or malus.Options())
 
     before = inputs()
@@ -338,6 +339,8 @@ def test_photos_give_camera_and_prior_of_a_station_in_memory(
     assert found.camera is not None and found.camera.pose()[1][2] == 50
     assert "photos: few photos" in found.warnings
     assert described[0]["photos"]["folder"] == str(tmp_path / "views") and described[0]["path"] == "station words"
+    with pytest.raises(malus.InputError, match=r"^station words: \[\[control\]\]: 1 point without check"):
+        require_control_points(station.describe(), ["a.png", "b.png"])
     assert described[0]["control"][0]["marks"][1] == {"image": "b.png", "x": 3, "y": 4}
 
     scaled = in_memory(pictures, photos={"folder": "views"}, scale=[{"distance": 3, "a": marks, "b": marks}])

@@ -237,7 +237,7 @@ def test_priors_of_swept_depths_on_arrays(dome: Dome) -> None:
     # The detail of a known surface stays.
     known = malus.prior.project_swept(dome.scene.depth, sigma, dome.camera, surface=dome.scene.depth)
     assert np.abs(known.depth - dome.scene.depth).max() < 0.05 * gsd
-    with pytest.raises(ValueError, match=r"sigma has shape \(3, 3\), expected \(96, 96\) as the camera"):
+    with pytest.raises(ValueError, match=r"sigma has shape \(3, 3\), expected \(96, 96\) as its camera"):
         malus.prior.project_swept(holed, np.ones((3, 3)), dome.camera)
 
 

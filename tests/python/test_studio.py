@@ -596,6 +596,8 @@ def test_an_option_that_goes_back_to_its_default_leaves_no_empty_file(tmp_path: 
     station = tmp_path / "station.toml"
     settings.change(station, "surface.subsample", 2)
     assert settings.options_of(station).surface.subsample == 2
+    (row,) = (row for row in settings.listed(station) if row["name"] == "surface.subsample")
+    assert (row["value"], row["allowed"]) == (2, "a whole number (1 to 64)")
     settings.change(station, "surface.subsample", None)
     assert not list(tmp_path.iterdir()) and settings.options_of(station) == Options()
     settings.file_of(station).write_text("# for the coin\n[surface]\nsubsample = 2\n")

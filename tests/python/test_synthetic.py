@@ -69,6 +69,12 @@ def test_station_is_reconstructed(tmp_path: Path, prior: str, refinement: dict[s
     assert len(described["polarized"]["images"]) == 6
 
 
+def test_the_angles_of_a_station_may_be_of_any_type(tmp_path: Path) -> None:
+    sensor = synthetic.Sensor(angles_deg=np.arange(0, 180, 45))
+    station = synthetic.write_station(tmp_path, 160, 120, sensor=sensor)
+    assert tomllib.loads(station.read_text())["polarized"]["angles_deg"] == [0, 45, 90, 135]
+
+
 def test_image_size_does_not_change_the_steepness() -> None:
     steepness = []
     for width, height in ((240, 160), (720, 480)):

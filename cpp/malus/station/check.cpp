@@ -1,7 +1,5 @@
 #include "malus/station/check.h"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -205,15 +203,6 @@ Station with_prior_of_photos(Station station) {
   return station;
 }
 
-void warn_of_memory(Plan& plan) {
-  const double machine_mb =
-      1e-6 * static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
-  if (plan.memory_mb < machine_mb) return;
-  plan.warnings.push_back("the run is expected to take " + std::to_string(std::lround(plan.memory_mb / 1000)) +
-                          " GB of memory, of which this machine has " + std::to_string(std::lround(machine_mb / 1000)) +
-                          " GB: take fewer threads, mask what is not the object, or halve the images");
-}
-
 }  // namespace
 
 std::vector<ExpectedTime> expected_times(const Station& station, const Options& options, const TimedRun& run,
@@ -268,7 +257,6 @@ Plan check_station(const Station& station, const Options& options, const Context
     plan.seconds += cost.seconds;
     plan.memory_mb = std::max(plan.memory_mb, cost.megabytes);
   }
-  warn_of_memory(plan);
   context.progress("check", 1.0);
   return plan;
 }

@@ -59,7 +59,7 @@ std::vector<StepDescription> describe_run(const Options& options, const std::opt
   complete.prior = DepthFile{};
   std::vector<StepDescription> steps;
   for (const Step* step : steps_of_run(step_table(), complete, options, until))
-    steps.push_back({step->name, step->does, step->leaves});
+    steps.push_back({step->name, step->does, step->leaves, step->may_leave});
   return steps;
 }
 

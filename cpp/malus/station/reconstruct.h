@@ -15,8 +15,9 @@ namespace malus {
 /// A step of a run, for people and programs.
 struct StepDescription {
   std::string name;
-  std::string does;                 ///< one line
-  std::vector<std::string> leaves;  ///< files below the workspace; some stations have more
+  std::string does;                    ///< one line
+  std::vector<std::string> leaves;     ///< files below the workspace
+  std::vector<std::string> may_leave;  ///< further files, for some stations and options
 };
 
 /// Names of all steps in their order. Last are those that the Python package runs on a finished workspace.

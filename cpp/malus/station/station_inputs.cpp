@@ -80,6 +80,9 @@ Json StationInputs::polarized() {
   const PolarizedSpec& spec = station_.file.polarized;
   Json json = fields_to_json(spec);
   json["images"] = files(spec.images);
+  // A developed image's folder does not count: a result in memory is saved to a workspace, which has one of its own.
+  if (!station_.developed_from.empty())
+    for (Json& image : json["images"]) image["path"] = fs::path(image["path"].get<std::string>()).filename().string();
   // Recorded only: the name of a developed image depends on the content of its RAW file.
   files(station_.developed_from);
   for (std::size_t k = 0; k < station_.images.size(); ++k)

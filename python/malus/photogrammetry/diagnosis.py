@@ -38,11 +38,12 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def too_few_photos(count: int, expected: int) -> str:
-    """Message for a folder with too few photos."""
+def too_few_photos(count: int, expected: int, others: str) -> str:
+    """Message for a folder with too few photos. others: images of other formats in it, empty without any."""
     return (
         f"[photos] has {count} photo{'s' * (count != 1)}, expected at least {expected}, better 8 to 20, from different "
         "directions around the station's; see docs/capture.md"
+        + (f"; {others} cannot be read as photos, expected PNG, TIFF or JPEG" if others else "")
     )
 
 

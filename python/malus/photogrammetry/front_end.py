@@ -29,8 +29,8 @@ from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.journal import Journal, digest
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
-from malus.photogrammetry.photo_cameras import PhotoCameras, solve_photos
-from malus.photogrammetry.photos import Photo, describe_photo, photos_of
+from malus.photogrammetry.photo_cameras import PhotoCameras, enough_photos_of, solve_photos
+from malus.photogrammetry.photos import Photo, describe_photo
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale
 from malus.photogrammetry.station_pose import (
@@ -194,7 +194,7 @@ def _bench(
 
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
     """The photos that [photos] names, and their cameras. said: `path`, `photos`, `scale` and `control`."""
-    photos = photos_of(said["photos"])
+    photos = enough_photos_of(said["photos"], bench.log)
     require_marks_in_photos(said, photos)
     require_control_points(said, [photo.name for photo in photos])
     solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))

@@ -17,9 +17,10 @@ from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.journal import UNFINISHED
 from malus.photogrammetry.model import SparseModel, reader_options
-from malus.photogrammetry.photos import Photo, write_proxy
+from malus.photogrammetry.photos import Photo, other_images, photos_of, write_proxy
 from malus.photogrammetry.program import SearchStoppedError
 
 #: Lens model that is calibrated from the photos.
@@ -94,13 +95,25 @@ class PhotoCameras:
     """Photo name → SHA-256 of the file that was read."""
 
 
+def enough_photos_of(said: Mapping[str, Any], log: Log) -> list[Photo]:
+    """The photos of a [photos] table as `Station.describe` returns it, with a warning if the folder has images of other formats.
+
+    Raises InputError for files that cannot be used, DataError for too few photos.
+    """
+    photos = photos_of(said)
+    others = other_images(said, photos)
+    if len(photos) < MIN_PHOTOS:
+        raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS, others))
+    if others:
+        log("warning", f"[photos]: {others} cannot be read as photos, expected PNG, TIFF or JPEG")
+    return photos
+
+
 def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) -> PhotoCameras:
     """Find the cameras of the photos. `known`: their calibrated lens, in one of COLMAP's models.
 
     Raises DataError with advice on what to photograph if the cameras cannot be found; ExternalError if COLMAP fails.
     """
-    if len(photos) < MIN_PHOTOS:
-        raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     groups = group_by_camera(photos, known)
     stage = bench.journal.stage
     hashes = bench.journal.watch({photo.name: photo.path for photo in photos})

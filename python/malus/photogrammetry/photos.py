@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from malus.workspace import is_result
 
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
+#: Suffixes of images of cameras and phones that cannot be read as photos, in small letters.
+_OTHER_SUFFIXES = raw.SUFFIXES | {".heic", ".heif", ".webp", ".avif"}
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -111,15 +114,8 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     Raises InputError for a pattern that matches none of the files, for names that are not in UTF-8, and for a folder with
     more files and folders than a station can have.
     """
-    names = {}
-    # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
-    beside = masks is not None and masks == folder
-    inside = None if masks is None or beside or not masks.is_relative_to(folder) else masks
-    for path in files_below(folder):
-        is_mask = inside is not None and inside in path.parents
-        if not is_mask and path.suffix.lower() in raw.IMAGE_SUFFIXES and path.is_file():
-            names[path.relative_to(folder).as_posix()] = path
-    if beside:
+    names = dict(_images_below(folder, masks, raw.IMAGE_SUFFIXES))
+    if masks == folder:
         found = {mask for name in names for mask in _mask_names(name) if mask != name}
         names = {name: path for name, path in names.items() if name not in found}
     for pattern in exclude:
@@ -129,6 +125,32 @@ def photo_files(folder: Path, exclude: Sequence[str], masks: Path | None = None)
     for name in kept:
         require_utf8(names[name])
     return {name: names[name] for name in kept}
+
+
+def _images_below(folder: Path, masks: Path | None, suffixes: frozenset[str]) -> Iterator[tuple[str, Path]]:
+    """The `files_below` a folder that have one of these suffixes, and their paths below it; without those of a folder of masks in it."""
+    # A folder of masks may also hold the photos' folder, or be it: programs write the masks beside the photos.
+    inside = None if masks is None or masks == folder or not masks.is_relative_to(folder) else masks
+    for path in files_below(folder):
+        is_mask = inside is not None and inside in path.parents
+        if not is_mask and path.suffix.lower() in suffixes and path.is_file():
+            yield path.relative_to(folder).as_posix(), path
+
+
+def other_images(said: Mapping[str, Any], photos: Sequence[Photo]) -> str:
+    """How many images below the folder of a [photos] table are of other formats, and of which; empty without any.
+
+    One beside a photo of the same name is no loss: cameras write RAW and JPEG files together.
+    """
+    masks = None if said["masks"] is None else Path(said["masks"])
+    read = {photo.path.with_suffix("") for photo in photos}
+    kinds = Counter(
+        path.suffix.lower()
+        for name, path in _images_below(Path(said["folder"]), masks, _OTHER_SUFFIXES)
+        if path.with_suffix("") not in read and not any(_matches(name, pattern) for pattern in said["exclude"])
+    )
+    count = kinds.total()
+    return f"{count} file{'s' * (count != 1)} ({', '.join(sorted(kinds))})" if count else ""
 
 
 def list_photos(folder: Path, exclude: Sequence[str], masks: Path | None = None) -> list[Photo]:

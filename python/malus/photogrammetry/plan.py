@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from malus import _core
-from malus.errors import DataError
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
-from malus.photogrammetry.photo_cameras import MIN_PHOTOS, group_by_camera, pairs_to_match
-from malus.photogrammetry.photos import photos_of
+from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera, pairs_to_match
 from malus.photogrammetry.program import Colmap
 
 
@@ -33,14 +31,19 @@ class Plan:
 
 
 def _scale_line(station: Mapping[str, Any]) -> str:
+    marked = [point for point in station["control"] if len(point["marks"]) > 1]
+    used = marked if station["control"] else station["scale"]
+    held_out = sum(entry["check"] for entry in used)
+    count = len(used) - held_out
+    besides = (
+        f"; {held_out} more {'check' if held_out > 1 else 'checks'} {'it' if count == 1 else 'them'}"
+        if held_out
+        else ""
+    )
     if station["control"]:
-        marked = [point for point in station["control"] if len(point["marks"]) > 1]
-        held_out = sum(point["check"] for point in marked)
-        besides = f"; {held_out} more {'check' if held_out > 1 else 'checks'} them" if held_out else ""
-        return (
-            f"scale: frame and size from {len(marked) - held_out} control points that are marked in the photos{besides}"
-        )
-    return f"scale: {len(station['scale'])} known distances" if station["scale"] else "scale: none, arbitrary unit"
+        return f"scale: frame and size from {count} control points that are marked in the photos{besides}"
+    distances = f"{count} known distance{'s' * (count != 1)}"
+    return f"scale: {distances}{besides}" if station["scale"] else "scale: none, arbitrary unit"
 
 
 def plan(
@@ -55,10 +58,8 @@ def plan(
     """
     said = station["photos"]
     warnings: list[str] = []
-    photos = photos_of(said)
+    photos = enough_photos_of(said, lambda _, message: warnings.append(message))
     masks = sum(photo.mask is not None for photo in photos)
-    if len(photos) < MIN_PHOTOS:
-        raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS))
     if 0 < masks and masks + silhouettes < _core.least_silhouettes:
         warnings.append(
             f"[photos] masks: {masks} of {len(photos)} photos have a mask; a visual hull is made of at least "

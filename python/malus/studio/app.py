@@ -32,6 +32,7 @@ from malus.raw import image_size
 from malus.studio import checks, folders, marks, masks, phases, pictures, preview, results, runs, settings
 from malus.studio.access import REPORTS, Access, Guard, Root
 from malus.studio.document import ChangedError, StationDocument
+from malus.workspace import is_result
 
 #: Most bytes in the body of a request: a mask of a hundred megapixels is far smaller.
 _MAX_BODY = 64_000_000
@@ -359,7 +360,7 @@ class Studio:
         station, work = self.root.file(body["path"]), self.root.path(body["work"])
         if work == self.root.folder or work == station.parent:
             raise InputError(f"{body['work']}: holds the inputs, expected a folder of its own for the results: {station.stem}_work")  # fmt: skip
-        if work.is_dir() and any(work.iterdir()) and not folders.is_result(work):
+        if work.is_dir() and any(work.iterdir()) and not is_result(work):
             raise InputError(f"{body['work']}: holds other files, expected a new folder or one with results of this station")  # fmt: skip
         fusion = body.get("fusion", "refined")
         if fusion not in ("grid", "refined"):

@@ -7,7 +7,7 @@ from typing import Any
 
 from malus._files import write_bytes
 from malus._toml import read_toml
-from malus.options import MAIN, Options
+from malus.options import MAIN, Options, allowed
 from malus.studio.document import TomlDocument
 
 
@@ -26,7 +26,9 @@ def options_of(station: Path) -> Options:
 
 
 def listed(station: Path) -> list[dict[str, Any]]:
-    """The main options, and all other options that the file sets: name, title, kind of value, default, meaning and value."""
+    """The main options, and all other options that the file sets: name, title, kind of value, allowed values in words, default, meaning
+    and value.
+    """
     values = options_of(station).to_dict()
     path = file_of(station)
     stated = read_toml(path, "options file") if path.is_file() else {}
@@ -34,7 +36,7 @@ def listed(station: Path) -> list[dict[str, Any]]:
     for name, kind, default, meaning in Options.describe():
         section, key = name.split(".")
         if name in MAIN or key in stated.get(section, {}):
-            rows.append({"name": name, "title": MAIN.get(name, name), "kind": kind, "default": default, "meaning": meaning, "value": values[section][key]})  # fmt: skip
+            rows.append({"name": name, "title": MAIN.get(name, name), "kind": kind, "allowed": allowed(name), "default": default, "meaning": meaning, "value": values[section][key]})  # fmt: skip
     return rows
 
 

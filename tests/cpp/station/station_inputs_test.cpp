@@ -84,6 +84,20 @@ TEST_F(StationInputsTest, FilesAreComparedByContent) {
   EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "modification times do not count";
 }
 
+TEST_F(StationInputsTest, FoldersOfDevelopedImagesDoNotCount) {
+  folder_.write("work/a.png", "a.png");
+  const auto elsewhere = [&] {
+    station_.file.polarized.images = {folder_ / "a.png"};
+    const Json here = json(&StationInputs::polarized);
+    station_.file.polarized.images = {folder_ / "work/a.png"};
+    return here != json(&StationInputs::polarized);
+  };
+  EXPECT_TRUE(elsewhere());
+  station_.developed_from = {folder_ / "b.png"};
+  EXPECT_FALSE(elsewhere());
+  EXPECT_EQ(of(&StationInputs::polarized).hashes.count("work/a.png"), 1u) << "the manifest names the file itself";
+}
+
 TEST_F(StationInputsTest, ModelFilesAreRecordedButOnlyTheCameraChangesTheValues) {
   station_.file.camera = CameraSpec{{LensModel::pinhole, {4, 3}, {5, 5, 2, 1}}, {}};
   station_.file.camera_files = {folder_ / "a.png"};

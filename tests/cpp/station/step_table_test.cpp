@@ -103,6 +103,7 @@ TEST(StepTable, AnUnknownStepIsNamedWithTheExistingOnes) {
         "zenith, height, fuse, mesh, assess");
   }
   EXPECT_EQ(describe_run({}, "prior").back().leaves, (Names{"prior/depth.tif", "prior/sigma.tif"}));
+  EXPECT_EQ(describe_run({}, "prior").back().may_leave, Names{"prior/points.png"});
 }
 
 }  // namespace

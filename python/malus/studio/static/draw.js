@@ -174,7 +174,7 @@ function drawTools() {
     extra.unshift(number('width [px]', width, 1, 2000, (value) => { width = value; }), number('tolerance', tolerance, 0, 255, (value) => { tolerance = value; }));
     extra.push(button('Undo', () => layer.undo()), button('Redo', () => layer.redo()), button('Clear', () => layer.edit(layer.whole, (context) => context.clearRect(...layer.whole))));
     if (what.value === 'mask') {
-      extra.push(button('Find the edge', () => resting(() => inTurn(cutOut)), { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Prior's outline", () => resting(() => inTurn(outline))),
+      extra.push(button('Find the edge', () => resting(() => inTurn(cutOut)), { title: 'GrabCut: finds the edge of what is roughly painted' }), button("Coarse surface's outline", () => resting(() => inTurn(outline))),
         button('Invert', invert));
     }
     if (inConflict()) extra.push(button('Keep mine', keepMine, { class: 'main' }), button("Take the file's", takeTheirs));
@@ -208,9 +208,9 @@ async function cutOut() {
 }
 
 async function outline() {
-  byId('draw-state').textContent = 'Projecting the prior …';
+  byId('draw-state').textContent = 'Projecting the coarse surface …';
   await layer.load(await ask('outline', { path: state.station.path }));
-  byId('draw-state').textContent = 'The mask is now the area that the prior covers.';
+  byId('draw-state').textContent = 'The mask is now the area that the coarse surface covers.';
 }
 
 async function similar([u, v]) {

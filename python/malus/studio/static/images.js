@@ -129,7 +129,7 @@ function previewParts(maps) {
     picture(maps.degree, 'Degree of polarization in colors', `Degree of polarization, 0 to ${maps.degree_top.toFixed(2)} (yellow); half of the image below ${maps.degree_median.toFixed(3)}`),
     picture(maps.phase, 'Phase in a circle of colors', 'Phase, 0° to 180° in a circle of colors: on a round object the colors run once around and back')),
   ...maps.findings.map((finding) => make('p', { class: finding.severity }, `${finding.message[0].toUpperCase()}${finding.message.slice(1)}. ${finding.suggestion}`)),
-  make('p', { class: 'note' }, `Preview made in ${maps.seconds.toFixed(1)} s. Direction and zero of the scale are checked against the prior when the station runs.`)];
+  make('p', { class: 'note' }, `Preview made in ${maps.seconds.toFixed(1)} s. Direction and zero of the scale are checked against the coarse surface when the station runs.`)];
 }
 
 const scale = () => ({ angle_direction: form.elements.angle_direction.value, angle_zero_deg: Number(form.elements.angle_zero_deg.value), response: form.elements.response.value });

@@ -23,15 +23,21 @@ function row(option) {
       says.textContent = error.message;
     }
   };
-  const control = controlOf(option, { id, 'aria-describedby': `${id}-help ${id}-wrong` }, (value) => set(value === option.default ? null : value));
+  const named = namesOf(option.kind);
+  const control = controlOf(option, named, { id, 'aria-describedby': `${id}-help ${id}-wrong` }, (value) => set(value === option.default ? null : value));
   return make('div', { class: `field${changed ? ' changed' : ''}` }, make('label', { for: id }, option.title),
     make('div', { class: 'row' }, control, changed ? make('button', { type: 'button', 'aria-label': `${option.title}: back to the default`, click: doing(async () => { await set(null); byId(id).focus(); }) }, 'Back to the default') : null),
-    make('div', { class: 'says' }, make('p', { class: 'note', id: `${id}-help` }, make('code', {}, option.name), `: ${option.meaning.replace(/ …$/, '')}. Default: ${option.default}.`), says));
+    make('div', { class: 'says' }, make('p', { class: 'note', id: `${id}-help` }, make('code', {}, option.name), `: ${option.meaning.replace(/ …$/, '')}. Default: ${option.default}.${named ? '' : ` Allowed: ${option.allowed}.`}`), says));
+}
+
+// The names that an option of this kind can be; null for others.
+function namesOf(kind) {
+  if (kind === 'true or false') return ['true', 'false'];
+  return /^("\w+"( \| )?)+$/.test(kind) ? kind.split(' | ').map((word) => word.slice(1, -1)) : null;
 }
 
 // A list to choose from if the option has named values, else a text field, whose numbers are sent as numbers.
-function controlOf({ kind, value }, attributes, set) {
-  const named = kind === 'true or false' ? ['true', 'false'] : /^("\w+"( \| )?)+$/.test(kind) ? kind.split(' | ').map((word) => word.slice(1, -1)) : null;
+function controlOf({ kind, value }, named, attributes, set) {
   if (named) {
     return make('select', { ...attributes, change: (event) => set(kind === 'true or false' ? event.target.value === 'true' : event.target.value) },
       ...named.map((word) => make('option', { value: word, selected: word === String(value) }, word)));

@@ -129,8 +129,8 @@ async function showProfile(result) {
 // Two charts: the heights of both surfaces, and their difference, which is too small to be seen in the first chart.
 function plots(section) {
   const changed = section.fused.map((value, at) => value === null || section.prior[at] === null ? null : value - section.prior[at]);
-  return [chartOf(section, [[section.prior, 'var(--warn)', '5 3'], [section.fused, 'currentColor', '']], 'Height above the chord; dashed: prior, solid: fused'),
-    chartOf(section, [[changed, 'currentColor', '']], 'What fusion changed: fused minus prior')];
+  return [chartOf(section, [[section.prior, 'var(--warn)', '5 3'], [section.fused, 'currentColor', '']], 'Height above the chord; dashed: coarse surface, solid: fused'),
+    chartOf(section, [[changed, 'currentColor', '']], 'What fusion changed: fused minus coarse surface')];
 }
 
 const SVG = 'http://www.w3.org/2000/svg';

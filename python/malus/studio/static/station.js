@@ -153,7 +153,7 @@ function imagesGroup() {
     row('angles', 'Angles [°]', make('input', { value: [under('polarized', 'angles_deg') ?? []].flat().join(', '), placeholder: 'from the names',
       change: (event) => doing(() => set([{ table: 'polarized', key: 'angles_deg', value: anglesOf(event.target.value) }]))() }), 'Reading of the filter\'s scale for each image; “auto” if the readings are unknown.'),
     choice('angles', 'Scale counts', under('polarized', 'angle_direction') ?? 'ccw', [['ccw', 'counter-clockwise, as the camera sees it'], ['cw', 'clockwise (read from behind the filter)']], (value) => set([{ table: 'polarized', key: 'angle_direction', value }])),
-    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', { kind: 'number', placeholder: '0', help: 'Reading of the scale when the filter\'s axis is horizontal.' }),
+    text('angles', 'Zero of the scale [°]', 'polarized', 'angle_zero_deg', { kind: 'number', placeholder: '0', help: 'Reading of the scale when the filter\'s axis is horizontal (the light that it lets through swings along the image\'s rows).' }),
     choice('response', 'Pixel values', under('polarized', 'response') ?? 'linear', [['linear', 'linear (RAW, scientific)'], ['srgb', 'sRGB (camera JPEG)'], ['gamma:2.2', 'gamma 2.2']], (value) => set([{ table: 'polarized', key: 'response', value }])),
     text('response', 'White level', 'polarized', 'white_level', { kind: 'number', placeholder: 'full scale', help: 'Pixel value at which the sensor saturates, if it is not the full scale of the file.' }),
     drawn('mask', 'Mask', under('polarized', 'mask') ?? 'none: the whole image is the object', 'mask'),
