@@ -261,7 +261,7 @@ class PriorSection(Section):
     tension_spacings: float
     """distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud"""
     hole_slope: float
-    """growth of the depth's standard deviation inside holes of a depth map, a mesh or a shape, in GSD per px from the rim: unseen parts, such as highlights, may deviate from their surroundings"""
+    """growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (of a cloud: from two point spacings off the nearest point on): unseen parts, such as highlights, may deviate from their surroundings"""
     max_unknowns: int
     """largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in overlapping tiles"""
     sigma_samples: int

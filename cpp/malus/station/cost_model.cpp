@@ -42,7 +42,13 @@ Expected prior_cost(const Workload& work) {
   const PriorSource& prior = work.station.prior;
   const bool is_cloud = std::holds_alternative<CloudFile>(prior) || std::holds_alternative<PointCloud>(prior);
   const bool is_swept = std::holds_alternative<SweptDepth>(prior);
-  return expected(is_swept ? swept : is_cloud ? cloud : raster, work.object_mpx, work.threads);
+  Expected cost = expected(is_swept ? swept : is_cloud ? cloud : raster, work.object_mpx, work.threads);
+  // Large surfaces are smoothed in parts, whose number alone grows.
+  constexpr double all_mpx = 18, megabytes_per_further_mpx = 54;
+  if (is_cloud)
+    cost.megabytes -=
+        (cloud.megabytes_per_mpx - megabytes_per_further_mpx) * std::max(work.object_mpx - all_mpx, 0.0);
+  return cost;
 }
 
 Expected polarizer_cost(const Workload& work) {
