@@ -235,7 +235,7 @@ class PriorSection(Section):
     """Options of the section prior."""
 
     sigma: float | Literal["auto"]
-    """standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map); required for a shape"""
+    """standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map, cloud that was smoothed); required for a shape"""
     smoothing_px: float | Literal["auto"]
     """length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = estimated from the cloud's noise and density"""
     smoothing_scale: float
@@ -255,7 +255,7 @@ class PriorSection(Section):
     min_points: int
     """the run ends with an error if fewer points of the cloud, or pixels of another prior, are visible on the object"""
     raster_sigma_gsd: float
-    """standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated"""
+    """standard deviation of a mesh's, a depth map's or a smoothed cloud's depth, in GSD, where none is stated"""
     correlated_noise: float
     """share of a point's noise that its neighbors have in common: smoothing does not reduce it, so it stays in the prior's standard deviation"""
     tension_spacings: float

@@ -178,7 +178,8 @@ struct PriorOptions {
   static void fields(Self& self, Visitor&& visit) {
     visit("sigma", self.sigma, Range{1e-12, 1e12},
           "standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the "
-          "station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map); required for a shape");
+          "station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map, cloud that was smoothed); required "
+          "for a shape");
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = "
           "estimated from the cloud's noise and density");
@@ -205,7 +206,7 @@ struct PriorOptions {
           "the run ends with an error if fewer points of the cloud, or pixels of another prior, are visible on the "
           "object");
     visit("raster_sigma_gsd", self.raster_sigma_gsd, Range{1e-6, 1e6},
-          "standard deviation of a mesh's or a depth map's depth, in GSD, where none is stated");
+          "standard deviation of a mesh's, a depth map's or a smoothed cloud's depth, in GSD, where none is stated");
     visit("correlated_noise", self.correlated_noise, Range{0, 10},
           "share of a point's noise that its neighbors have in common: smoothing does not reduce it, so it stays in "
           "the prior's standard deviation");

@@ -275,6 +275,30 @@ Surface smooth_cloud(LargeVector<ViewPoint> points, const Mask& mask, const Smoo
   return surface;
 }
 
+/// What a cloud's scatter says of its errors: of points of a sweep's windows the sweep states them.
+enum class Points { measured, of_windows };
+
+/// Neighboring pixels of a surface that was measured and smoothed share their errors.
+constexpr double independent_px = 4;
+
+/// Whether points scatter by less than a tenth of their distance, or of a GSD if this is less: points measured in
+/// photos scatter more, so these were smoothed, as the vertices of a mesh are, and their errors do not show as scatter.
+/// `points_a_pixel` were merged into each, which divides their distance and the scatter of their means by its root.
+bool are_smoothed(double scatter_gsd, double points_a_pixel) {
+  constexpr double least_scatter = 0.1;
+  return scatter_gsd < least_scatter / points_a_pixel;
+}
+
+void warn_of_smoothed_points(double scatter_gsd, const PriorOptions& options, const Context& context) {
+  std::ostringstream message;
+  message
+      << "prior cloud: its points scatter by only " << with_digits(scatter_gsd, 2)
+      << " GSD, less than points measured in photos do: they were probably smoothed, as the vertices of a mesh are. "
+         "Their scatter does not show their errors, so a standard deviation of "
+      << with_digits(options.raster_sigma_gsd, 3) << " GSD is assumed: state sigma in [prior]";
+  context.log(LogLevel::warning, message.str());
+}
+
 /// Standard deviation of a cloud's points, in the station's unit.
 double stated_or_measured(double measured, const PriorOptions& options, const Context& context) {
   constexpr double contradicts = 3;
@@ -400,8 +424,6 @@ std::optional<float> number_for_no_depth(const Image<float>& depth, const Mask& 
 /// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
 /// over an area. Holes must not be filled yet: their standard deviation is no noise.
 void set_noise(DepthPrior& prior) {
-  // Neighboring pixels of a measured surface share their errors.
-  constexpr double independent_px = 4;
   std::vector<float> sigmas;
   std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
   prior.noise = median_in_place(sigmas);
@@ -506,10 +528,9 @@ Image<float> relative_shape(const Image<float>& shape, const Mask& mask) {
   return relative;
 }
 
-}  // namespace
-
-DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
-                         const PriorOptions& options, const Context& context) {
+/// Coarse surface from a cloud, or from the points of another surface.
+DepthPrior prior_of_cloud(const PointCloud& cloud, Points points, const Pinhole& camera, const Pose& pose,
+                          const Mask& mask, const PriorOptions& options, const Context& context) {
   const OpenCvThreads opencv_threads(context.threads);
   validate(camera, pose, mask, options);
   context.progress("prior", 0, "projecting the cloud");
@@ -527,28 +548,44 @@ DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const P
   const double near_px = 2 * visible.spacing_px;
   const cv::Mat from_points = distance_from_points(mask.size(), visible.points);
   prior.filled_fraction = far_fraction(mask, from_points, near_px);
+  const double points_a_pixel = static_cast<double>(visible.census.used) / static_cast<double>(visible.points.size());
   const Surface surface = smooth_cloud(std::move(visible.points), mask, how, options, context);
   const double focal = camera.focal();
-  // Computed points may lie exactly in a plane; weights by a sigma of zero would be infinite.
-  constexpr double least_noise_gsd = 1e-6;
-  const double measured = std::max(surface.noise, least_noise_gsd);
-  prior.noise = stated_or_measured(measured * visible.reference_depth / focal, options, context);
-  const double noise = prior.noise * focal / visible.reference_depth;
+  const double gsd = visible.reference_depth / focal;
+  prior.spacing_px = visible.spacing_px;
+  prior.assumes_sigma = points == Points::measured && !options.sigma && are_smoothed(surface.noise, points_a_pixel);
+  if (prior.assumes_sigma) {
+    warn_of_smoothed_points(surface.noise, options, context);
+    prior.noise = options.raster_sigma_gsd * gsd;
+    prior.spacing_px = std::max(prior.spacing_px, independent_px);
+  } else {
+    // Swept depths may lie exactly in a plane; a noise of zero would stand for none.
+    constexpr double least_noise_gsd = 1e-6;
+    prior.noise = stated_or_measured(std::max(surface.noise, least_noise_gsd) * gsd, options, context);
+  }
+  const double noise = prior.noise / gsd;
   const double shared2 = options.correlated_noise * options.correlated_noise;
   parallel_pixels(context, mask, [&](int u, int v) {
     const double depth = visible.reference_depth * std::exp((surface.height(u, v) + plane.at(u, v)) / focal);
     prior.depth(u, v) = static_cast<float>(depth);
     // The spline's variance is that of a surface as smooth as a hole's rim.
     const double hole = options.hole_slope * std::max(from_points.at<float>(v, u) - near_px, 0.0);
-    prior.sigma(u, v) =
-        static_cast<float>(std::hypot(noise * std::sqrt(surface.variance(u, v) + shared2), hole) * depth / focal);
+    const double factor = prior.assumes_sigma ? 1 : std::sqrt(surface.variance(u, v) + shared2);
+    prior.sigma(u, v) = static_cast<float>(std::hypot(noise * factor, hole) * depth / focal);
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
-  prior.spacing_px = visible.spacing_px;
-  prior.smoothing_px = how.length_px;
+  // A surface that somebody else smoothed has lost detail over a length that nobody knows, as a mesh or a depth map has.
+  prior.smoothing_px = prior.assumes_sigma ? 0 : how.length_px;
   context.progress("prior", 1);
   return prior;
+}
+
+}  // namespace
+
+DepthPrior project_prior(const PointCloud& cloud, const Pinhole& camera, const Pose& pose, const Mask& mask,
+                         const PriorOptions& options, const Context& context) {
+  return prior_of_cloud(cloud, Points::measured, camera, pose, mask, options, context);
 }
 
 DepthPrior project_prior(const TriangleMesh& mesh, const Pinhole& camera, const Pose& pose, const Mask& mask,
@@ -640,7 +677,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   PriorOptions of_windows = options;
   of_windows.keep_raised = false;
   of_windows.hole_slope = 0;  // holes are those of the map, below
-  DepthPrior prior = project_prior(cloud, camera, pose, mask, of_windows, context);
+  DepthPrior prior = prior_of_cloud(cloud, Points::of_windows, camera, pose, mask, of_windows, context);
   const cv::Mat distance = distance_from_known(depth);
   prior.filled_fraction = measured.filled_fraction;
   prior.hull_fraction = measured.hull_fraction;

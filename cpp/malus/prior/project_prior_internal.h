@@ -20,7 +20,8 @@ namespace malus {
 /// surface. `mask` has the camera's size; depth and sigma are NaN outside it. sigma² is the spline's posterior
 /// variance, which grows away from the points, plus the part of the noise that neighboring points share. The noise is
 /// estimated from the points' scatter unless `sigma` states it; a scatter above three times the stated value causes a
-/// warning.
+/// warning. Points that hardly scatter were smoothed, so that their scatter does not show their errors: without `sigma`
+/// they get `raster_sigma_gsd`, with a warning.
 ///
 /// Throws an input error for values that are not finite or a mask of another size, and a data error that lists where
 /// the points fell if fewer than `min_points` are visible on the object.

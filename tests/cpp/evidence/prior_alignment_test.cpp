@@ -238,6 +238,19 @@ TEST(PriorAlignment, ASparseCloudIsNoMistakeUnlessItLiesElsewhere) {
   EXPECT_NE(check(scene, scene.cloud).finding.severity, Severity::note);
 }
 
+TEST(PriorAlignment, ACloudTooSparseForSmallPixelsIsComparedInLargerOnes) {
+  const EvidenceScene scene;
+  PointCloud sparse;
+  for (const Eigen::Vector3d& point : scene.cloud.points) {
+    const Eigen::Vector2d pixel = scene.camera.project(scene.pose.cam_from_world(point));
+    if (std::lround(pixel.x()) % 6 == 0 && std::lround(pixel.y()) % 6 == 0) sparse.points.push_back(point);
+  }
+  const PriorAlignment found = check(scene, sparse);
+  EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
+  EXPECT_TRUE(found.phase.informative);
+  EXPECT_EQ(found.instead, "");
+}
+
 /// The scene with a smaller object, the pixels that `keeps` names. Its cloud and its depth map have nothing else.
 EvidenceScene reduced_to(const std::function<bool(long u, long v)>& keeps) {
   const EvidenceScene whole;

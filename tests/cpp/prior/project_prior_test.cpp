@@ -260,6 +260,33 @@ TEST(PriorOfCloud, UsesAStatedSigmaAndWarnsIfThePointsContradictIt) {
   expect_contains(warning, "sigma states 0.05");
 }
 
+TEST(PriorOfCloud, AssumesTheSigmaOfPointsThatWereSmoothed) {
+  std::string warning;
+  Context context;
+  context.on_log = [&warning](LogLevel, const std::string& message) { warning += message; };
+  const PointCloud smoothed = sample(wavy_depth, 3000, 0.02);
+  const DepthPrior prior = project(smoothed, {}, full_mask(), context);
+  EXPECT_TRUE(prior.assumes_sigma);
+  EXPECT_NEAR(prior.noise, gsd_mm, 0.1 * gsd_mm);
+  EXPECT_NEAR(prior.sigma(60, 45), gsd_mm, 0.1 * gsd_mm);
+  expect_contains(warning, "prior cloud: its points scatter by only 0.0");
+  expect_contains(warning, "a standard deviation of 1 GSD is assumed: state sigma in [prior]");
+
+  PriorOptions stated;
+  stated.sigma = 0.02 * gsd_mm;
+  warning.clear();
+  EXPECT_FALSE(project(smoothed, stated, full_mask(), context).assumes_sigma);
+  EXPECT_EQ(warning, "");
+}
+
+TEST(PriorOfCloud, MeansOfManyPointsScatterLittle) {
+  // Points four times as dense as the pixels, such as those of photos with smaller pixels, with half of their distance
+  // as noise. Their means scatter by less than a tenth of a GSD.
+  const DepthPrior prior = project(sample(plane_depth, 16 * 120 * 90, 0.125));
+  EXPECT_LT(prior.noise, 0.1 * gsd_mm);
+  EXPECT_FALSE(prior.assumes_sigma);
+}
+
 TEST(PriorOfCloud, WarnsOfANationalGridInSinglePrecision) {
   std::string warning;
   Context context;
@@ -631,6 +658,7 @@ TEST(PriorOfDepthMap, SmoothsDepthsThatWereMeasuredOverWindows) {
   // (50, 40) is the center of a hole of radius 6, about five pixels from the nearest depth; the standard slope is 1.
   EXPECT_GT(prior.sigma(50, 40), 5 * gsd_mm);
   EXPECT_LT(prior.sigma(50, 40), 8 * gsd_mm);
+  EXPECT_FALSE(prior.assumes_sigma) << "a sweep states its errors";
   expect_error(
       ErrorCode::data,
       [&] {
