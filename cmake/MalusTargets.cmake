@@ -9,6 +9,8 @@ if(MALUS_SANITIZE)
   target_compile_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE} -fno-omit-frame-pointer
                                                   -Wno-maybe-uninitialized)
   target_link_options(malus_settings INTERFACE -fsanitize=${MALUS_SANITIZE})
+  # Under AddressSanitizer Eigen would align memory by itself, and Debian's Ceres would free it as memory of malloc.
+  target_compile_definitions(malus_settings INTERFACE EIGEN_MALLOC_ALREADY_ALIGNED=1)
 endif()
 
 # Adds a room: the sources in cpp/malus/<name>, and their dependencies. DEPENDS names the rooms that they may use and so

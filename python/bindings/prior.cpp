@@ -47,7 +47,8 @@ void bind_prior(py::module_& module) {
       .def_readonly("noise", &DepthPrior::noise)
       .def_readonly("spacing_px", &DepthPrior::spacing_px)
       .def_readonly("smoothing_px", &DepthPrior::smoothing_px)
-      .def_readonly("filled_fraction", &DepthPrior::filled_fraction);
+      .def_readonly("filled_fraction", &DepthPrior::filled_fraction)
+      .def_readonly("assumes_sigma", &DepthPrior::assumes_sigma);
 
   module.def("project_points", [](const Array<double>& points, const std::optional<Array<float>>& normals,
                                   const RasterView& view, const Mask& mask, const Options& options, int threads) {

@@ -38,7 +38,8 @@ def project_points(
 
     points: N×3, world frame. normals: N×3, pointing out of the object, or None. camera: with its pose, without distortion.
     mask: H×W, non-zero = object. Hidden points and outliers are removed; gaps are filled; the smoothing is chosen from the
-    points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask).
+    points' scatter. Returns `depth` and `sigma` (H×W float32, NaN outside the mask). `assumes_sigma`: the points hardly scatter,
+    as those of a smoothed surface; sigma is then `prior.raster_sigma_gsd` unless `prior.sigma` states it.
     """
     cloud = as_rows(points, "points")
     return _core.project_points(

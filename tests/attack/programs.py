@@ -469,6 +469,7 @@ def main() -> int:
     arguments = parser.parse_args()
     end = time.monotonic() + arguments.seconds
     folder = arguments.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
     if arguments.photos:
         attacks = {"photos": attack_on_photos(folder / "photos")}
     elif arguments.object:

@@ -620,6 +620,31 @@ def test_a_search_that_ran_out_of_time_is_not_remembered(tmp_path: Path) -> None
     assert runs == [True, False]
 
 
+@pytest.mark.parametrize(
+    ("attempts", "unfinished"),
+    [
+        ([(0, False), (0, True), (0, False)], True),
+        ([(3, False), (0, True), (0, False)], True),  # a search that was cut short might have found more
+        ([(0, True), (6, False)], False),
+        ([(3, True), (0, False), (0, False)], False),
+    ],
+)
+def test_a_search_that_any_assumed_lens_left_unfinished_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, attempts: list[tuple[int, bool]], unfinished: bool
+) -> None:
+    """Attempts: number of photos in the model (0 = no model), and whether the time of a search ran out."""
+    photos = [Photo(f"{i}.jpg", tmp_path, 12, 8) for i in range(6)]
+    names = [photo.name for photo in photos]
+    results = iter([({"0": names[:count]} if count else {}, stopped) for count, stopped in attempts])
+    monkeypatch.setattr(photo_cameras, "_run_mapper", lambda *_: next(results))
+    for name in ("copy", "set_camera", "camera_of"):
+        monkeypatch.setattr(photo_cameras.database, name, lambda *_: 1)
+    groups = photo_cameras.group_by_camera(photos, None)
+    pairs = dict.fromkeys(zip(names, names[1:], strict=False), 50)
+    found = photo_cameras._map(SimpleNamespace(folder=tmp_path), groups, pairs, sparing=False)  # type: ignore[arg-type]
+    assert found[UNFINISHED] == unfinished
+
+
 @pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])
 def test_a_principal_point_is_adjusted_if_enough_photos_of_its_lens_have_a_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos_of_lenses: list[int], freed: bool

@@ -196,6 +196,8 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
   if (determining == 0) throw data_error("no known distance determines the scale: expected one without check = true");
 
   ScaleAdjustment result;
+  // Far from the origin coordinates are rounded to 1e-12 of the distance or more; marks give it to 1e-6 at best.
+  constexpr double settled = 1e-9;
   result.status = AdjustmentStatus::not_converged;
   double log_scale = ratio / determining;
   Normal normal;
@@ -213,7 +215,7 @@ ScaleAdjustment adjust_scale(std::span<const MarkedView> views, std::span<const 
         moved = std::max(moved, change.norm() / length);
       }
     }
-    if (moved < 1e-12) result.status = AdjustmentStatus::converged;
+    if (moved < settled) result.status = AdjustmentStatus::converged;
   }
 
   normal = normal_equations(ends, distances, log_scale);

@@ -19,7 +19,7 @@ struct DepthPrior {
   double points_used = 0;       ///< number of visible points that are inliers
   double noise = 0;             ///< standard deviation of a point, or of a raster's depth, station unit; 0 = none
   double spacing_px = 0;        ///< median distance of neighboring points in the view; of a raster's independent errors
-  double smoothing_px = 0;      ///< smoothing length that was used
+  double smoothing_px = 0;      ///< smoothing length that was used; 0 = none, or not known
   bool shares_windows = false;  ///< neighbors share matching windows: smoothing does not average their noise
   /// Share of object pixels farther than 2 · spacing from every point; for rasters and photos, the share without a
   /// depth.

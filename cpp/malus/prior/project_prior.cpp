@@ -283,10 +283,16 @@ constexpr double independent_px = 4;
 
 /// Whether points scatter by less than a tenth of their distance, or of a GSD if this is less: points measured in
 /// photos scatter more, so these were smoothed, as the vertices of a mesh are, and their errors do not show as scatter.
-/// `points_a_pixel` were merged into each, which divides their distance and the scatter of their means by its root.
+/// `points_a_pixel` were merged into each. Their distance is that of the pixels, divided by its root; their mean
+/// scatters nearly as much as one of them, because neighbors share most of their errors.
 bool are_smoothed(double scatter_gsd, double points_a_pixel) {
   constexpr double least_scatter = 0.1;
-  return scatter_gsd < least_scatter / points_a_pixel;
+  return scatter_gsd < least_scatter / std::sqrt(points_a_pixel);
+}
+
+/// Whether the scatter is that about a surface smoothed as the cloud asks for: with less smoothing points scatter less.
+bool chooses_smoothing(const PriorOptions& options) {
+  return !options.smoothing_px && options.smoothing_scale >= PriorOptions{}.smoothing_scale;
 }
 
 void warn_of_smoothed_points(double scatter_gsd, const PriorOptions& options, const Context& context) {
@@ -553,7 +559,8 @@ DepthPrior prior_of_cloud(const PointCloud& cloud, Points points, const Pinhole&
   const double focal = camera.focal();
   const double gsd = visible.reference_depth / focal;
   prior.spacing_px = visible.spacing_px;
-  prior.assumes_sigma = points == Points::measured && !options.sigma && are_smoothed(surface.noise, points_a_pixel);
+  prior.assumes_sigma = points == Points::measured && !options.sigma && chooses_smoothing(options) &&
+                        are_smoothed(surface.noise, points_a_pixel);
   if (prior.assumes_sigma) {
     warn_of_smoothed_points(surface.noise, options, context);
     prior.noise = options.raster_sigma_gsd * gsd;
@@ -575,7 +582,8 @@ DepthPrior prior_of_cloud(const PointCloud& cloud, Points points, const Pinhole&
   });
   prior.points_total = static_cast<double>(visible.census.total);
   prior.points_used = static_cast<double>(visible.census.used);
-  // A surface that somebody else smoothed has lost detail over a length that nobody knows, as a mesh or a depth map has.
+  // A surface that somebody else smoothed has lost detail over a length that nobody knows, as a mesh or a depth map
+  // has.
   prior.smoothing_px = prior.assumes_sigma ? 0 : how.length_px;
   context.progress("prior", 1);
   return prior;

@@ -260,6 +260,7 @@ def _map(
     reachable = len(database.connected_groups(names, pairs)[0])
     unknown = [group for group in groups if group.known is None and group.focal_px is None]
     tried: list[dict[str, Any]] = []
+    ran_out = False
     for factor in FOCAL_ASSUMPTIONS if unknown else (None,):
         source = bench.folder / f"{_prefix(sparing)}mapping.db"
         database.copy(bench.folder / f"{_prefix(sparing)}matches.db", source)
@@ -270,10 +271,13 @@ def _map(
             database.set_camera(source, database.camera_of(source, first.name), params)
         models, stopped = _run_mapper(bench, source, len(tried), groups, len(names), sparing)
         best = max(models, key=lambda name: len(models[name]), default=None)
-        tried.append({"focal": factor, "models": models, "best": best, UNFINISHED: stopped and best is None})
+        tried.append({"focal": factor, "models": models, "best": best})
+        ran_out |= stopped and best is None
         if best is not None and len(models[best]) >= _ENOUGH_SHARE * reachable:
+            ran_out = False
             break
     chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
+    chosen[UNFINISHED] = ran_out
     chosen["known"] = not unknown
     chosen["attempts"] = len(tried)
     return chosen

@@ -89,6 +89,17 @@ TEST(AdjustScale, ErrorsAreWithinTheirSigma) {
   EXPECT_NEAR(weights / trials, 1, 0.05);
 }
 
+TEST(AdjustScale, EndsFarFromTheOriginToo) {
+  // As with the coordinates of a national grid, of which double precision keeps only some digits beyond the point.
+  std::mt19937 random(7);
+  auto views = photos_around_origin(4, 170, 25);
+  const auto distances = distances_of(views, 0.2, random);
+  for (MarkedView& view : views) view.pose.translation -= view.pose.rotation * Eigen::Vector3d(4e6, 5e6, 100);
+  const ScaleAdjustment result = adjust_scale(views, distances, {});
+  EXPECT_EQ(result.status, AdjustmentStatus::converged);
+  EXPECT_LT(std::abs(result.scale - scale), 3 * result.sigma);
+}
+
 TEST(AdjustScale, NamesTheWrongMark) {
   std::mt19937 random(5);
   const auto views = photos_around_origin(5, 170, 25);

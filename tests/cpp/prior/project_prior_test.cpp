@@ -272,7 +272,11 @@ TEST(PriorOfCloud, AssumesTheSigmaOfPointsThatWereSmoothed) {
   expect_contains(warning, "prior cloud: its points scatter by only 0.0");
   expect_contains(warning, "a standard deviation of 1 GSD is assumed: state sigma in [prior]");
 
-  PriorOptions stated;
+  EXPECT_TRUE(project(sample(wavy_depth, 16 * 120 * 90, 0.05)).assumes_sigma) << "means of 16 points";
+
+  PriorOptions stated, less_smooth;
+  less_smooth.smoothing_px = 0.2;
+  EXPECT_FALSE(project(sample(wavy_depth, 10000, 0.5), less_smooth).assumes_sigma);
   stated.sigma = 0.02 * gsd_mm;
   warning.clear();
   EXPECT_FALSE(project(smoothed, stated, full_mask(), context).assumes_sigma);
