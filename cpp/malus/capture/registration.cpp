@@ -1,8 +1,11 @@
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <sstream>
 
 #include "malus/capture/contrast_band_internal.h"
@@ -182,15 +185,15 @@ class Level {
   Assessment assess(const std::vector<Affine>& maps) const {
     const Normals normals = normal_equations(maps, true);
     Assessment result{std::vector<double>(maps.size()), std::vector<double>(maps.size()), normals.texture(), 0};
-    const Eigen::LDLT<Matrix6> factor(normals.matrix);
-    const Matrix6 inverse = factor.solve(Matrix6::Identity());
+    const std::optional<Matrix6> inverse = inverse_without_noise(normals);
     for (std::size_t k = 1; k < maps.size(); ++k) {
       Matrix6 scatter = Matrix6::Zero();
       for (const auto& tile : normals.tile_sides) {
         const Vector6 difference = tile[k] - tile[0];
         scatter += difference * difference.transpose();
       }
-      result.rms_px[k] = std::sqrt(mean_square_displacement(inverse * scatter * inverse, size_));
+      result.rms_px[k] = inverse ? std::sqrt(mean_square_displacement(*inverse * scatter * *inverse, size_))
+                                 : std::numeric_limits<double>::infinity();
       result.similarity[k] = normals.others_energy[k] > 0 ? normals.products[k] / normals.others_energy[k] : 0;
     }
     const bool are_known =
@@ -205,6 +208,7 @@ class Level {
  private:
   struct Normals {
     Matrix6 matrix = Matrix6::Zero();
+    Matrix6 of_noise = Matrix6::Zero();  ///< the part of `matrix` that the images' disagreement explains
     std::vector<Vector6> sides;
     std::vector<std::vector<Vector6>> tile_sides;
     double gradient_energy = 0, noise_energy = 0;
@@ -259,6 +263,14 @@ class Level {
     const double width = size_.width, x = (region.u0 - 1 - 0.5 * (width - 1)) / width;
     return {rows.bands(row),    rows.mean(row),        rows.mean(std::max(row - 1, 0)), rows.mean(row + 1),
             rows.information(), static_cast<float>(x), static_cast<float>(1 / width)};
+  }
+
+  /// Inverse of the normal equations that the images' common texture alone gives: gradients of noise say nothing of a
+  /// displacement. None if in some direction nearly all of the gradients are noise, as for lines of one direction.
+  static std::optional<Matrix6> inverse_without_noise(const Normals& normals) {
+    const Eigen::GeneralizedSelfAdjointEigenSolver<Matrix6> shares(normals.of_noise, normals.matrix);
+    if (shares.info() != Eigen::Success || !(1 - shares.eigenvalues().maxCoeff() >= least_texture)) return std::nullopt;
+    return (normals.matrix - normals.of_noise).ldlt().solve(Matrix6::Identity());
   }
 
   double correlation(const Image<float>& image, const Affine& map) const {
@@ -319,6 +331,7 @@ class Level {
     });
     for (Normals& tile : tiles) {
       total.matrix += tile.matrix;
+      total.of_noise += tile.of_noise;
       total.gradient_energy += tile.gradient_energy;
       total.noise_energy += tile.noise_energy;
       for (std::size_t k = 0; k < count; ++k) {
@@ -340,48 +353,68 @@ class Level {
     for (int v = block.v0; v < block.v1; ++v) {
       const AlignedRow row = aligned_row(block, v, v - block.v0 + 1, rows);
       sum_row(row, static_cast<float>(cauchy), sums, weights);
-      add_row(sums, (v - 0.5 * (size_.height - 1)) / size_.width, sum);
-      if (assess) add_assessment(row, v - block.v0 + 1, weights, rows, sum);
+      const double y = (v - 0.5 * (size_.height - 1)) / size_.width;
+      add_row(sums, y, sum);
+      if (assess) add_assessment(row, v - block.v0 + 1, y, weights, rows, sum);
+    }
+  }
+
+  /// Parameter i is the displacement along axis_of[i] times x^power_of_x[i] y^power_of_y[i].
+  static constexpr int axis_of[] = {0, 1, 0, 0, 1, 1}, power_of_x[] = {0, 0, 1, 0, 1, 0},
+                       power_of_y[] = {0, 0, 0, 1, 0, 1};
+
+  /// Adds the products of gradients in row y to a matrix of normal equations.
+  static void add_products(const double (&gradients)[3][3], double y, Matrix6& matrix) {
+    const double y_to[] = {1, y, y * y};
+    for (int i = 0; i < 6; ++i) {
+      for (int j = 0; j < 6; ++j) {
+        matrix(i, j) +=
+            gradients[axis_of[i] + axis_of[j]][power_of_x[i] + power_of_x[j]] * y_to[power_of_y[i] + power_of_y[j]];
+      }
     }
   }
 
   /// Adds the sums of row y to the normal equations of g_u, g_v, g_u x, g_u y, g_v x, g_v y.
   static void add_row(const RowSums& row, double y, Normals& sum) {
-    // Parameter i is the displacement along axis[i] times x^power_x[i] y^power_y[i].
-    constexpr int axis[] = {0, 1, 0, 0, 1, 1}, power_x[] = {0, 0, 1, 0, 1, 0}, power_y[] = {0, 0, 0, 1, 0, 1};
-    const double y_to[] = {1, y, y * y};
+    add_products(row.gradients, y, sum.matrix);
+    const double y_to[] = {1, y};
     for (int i = 0; i < 6; ++i) {
-      for (int j = 0; j < 6; ++j) {
-        sum.matrix(i, j) += row.gradients[axis[i] + axis[j]][power_x[i] + power_x[j]] * y_to[power_y[i] + power_y[j]];
-      }
       for (std::size_t k = 0; k < row.sides.size(); ++k) {
         const RowSums::Side& side = row.sides[k];
-        sum.sides[k][i] += (axis[i] == 0 ? side.along_u : side.along_v)[power_x[i]] * y_to[power_y[i]];
+        sum.sides[k][i] += (axis_of[i] == 0 ? side.along_u : side.along_v)[power_of_x[i]] * y_to[power_of_y[i]];
       }
     }
   }
 
   /// Adds the gradient energy of the mean image, the part of it that the images' disagreement explains, and each
   /// image's regression on the others.
-  static void add_assessment(const AlignedRow& row, int index, const float* weights, AlignedRows& rows, Normals& sum) {
+  static void add_assessment(const AlignedRow& row, int index, double y, const float* weights, AlignedRows& rows,
+                             Normals& sum) {
     const auto count = static_cast<double>(row.bands.size());
+    double noise_products[3][3] = {};
     for (std::size_t i = 1; i + 1 < BlockRow::length; ++i) {
       const double weight = weights[i];
       const double gu = 0.5 * (row.mean[i + 1] - row.mean[i - 1]), gv = 0.5 * (row.mean_below[i] - row.mean_above[i]);
-      double noise = 0;
+      double noise[3] = {};
       for (std::size_t k = 0; k < row.bands.size(); ++k) {
         const float *const here = row.bands[k], *const above = rows.band(k, index - 1).data(),
                            *const below = rows.band(k, index + 1).data();
         const double ru = 0.5 * ((here[i + 1] - row.mean[i + 1]) - (here[i - 1] - row.mean[i - 1]));
         const double rv = 0.5 * ((below[i] - row.mean_below[i]) - (above[i] - row.mean_above[i]));
-        noise += ru * ru + rv * rv;
+        noise[0] += ru * ru, noise[1] += ru * rv, noise[2] += rv * rv;
         const double others = (count * row.mean[i] - here[i]) / (count - 1);
         sum.products[k] += weight * others * here[i];
         sum.others_energy[k] += weight * others * others;
       }
       sum.gradient_energy += weight * (gu * gu + gv * gv);
-      sum.noise_energy += weight * noise / (count * (count - 1));
+      const double of_mean = weight / (count * (count - 1)), x = row.x + static_cast<float>(i) * row.x_step;
+      sum.noise_energy += of_mean * (noise[0] + noise[2]);
+      for (int product = 0; product < 3; ++product) {
+        for (int power = 0; power < 3; ++power)
+          noise_products[product][power] += of_mean * noise[product] * (power == 0 ? 1 : power == 1 ? x : x * x);
+      }
     }
+    add_products(noise_products, y, sum.of_noise);
   }
 
   double step(std::vector<Affine>& maps) const {
@@ -451,14 +484,19 @@ void judge_registration(ImageRegistration& result, const RegistrationFigures& fi
             << " of the contrast is common to all images, the rest is noise";
   } else if (!is_known) {
     result.status = RegistrationStatus::uncertain;
-    // Not finite if the images show lines of one direction only.
+    // Not finite if the images show lines of one direction only, or texture in so small a part that nothing tells how
+    // far they are turned.
     message << "its place cannot be told: its displacement is "
             << (std::isfinite(result.rms_px) ? "known to " + with_digits(result.rms_px, 3) + " px" : "not known")
             << ", expected " << with_digits(options.max_uncertainty_px, 3) << " px (capture.max_uncertainty_px)";
-  } else if (!(result.displacement_px <= options.max_shift * size.width) || !(linear <= options.max_shift)) {
+  } else if (!(result.displacement_px <= options.max_shift * size.width)) {
     result.status = RegistrationStatus::implausible;
     message << "displacement of " << with_digits(result.displacement_px, 3) << " px, more than "
             << 100 * options.max_shift << " % of the image width";
+  } else if (!(linear <= options.max_shift)) {
+    result.status = RegistrationStatus::implausible;
+    message << "turned or distorted by " << with_digits(100 * linear, 3) << " %, more than " << 100 * options.max_shift
+            << " %";
   } else if (!(figures.similarity >= least_similarity)) {
     result.status = RegistrationStatus::implausible;
     message << "the image does not resemble the others (similarity " << figures.similarity << ", 1 = alike)";

@@ -66,7 +66,7 @@ PixelResiduals pixel_residuals(RefinementField& field, const WeightOptions& opti
     out.squared(u, v) = static_cast<float>(squared);
     field.stokes_precision(u, v) = static_cast<float>(1 / variance);
     if (field.kind(u, v) != Reflection::diffuse || field.reflection.metal_error > 0) return;
-    field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body)));
+    field.log_body(u, v) = static_cast<float>(std::log(std::max(m.body, darkest_body * s0)));
     out.log_albedo(u, v) =
         static_cast<float>(field.log_body(u, v) - log_shading(field.shading, frame, slopes.p, slopes.q).value);
   });

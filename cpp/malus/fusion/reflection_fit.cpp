@@ -356,6 +356,13 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
   return samples;
 }
 
+/// Divides the harmonics by the median of their values at the samples, so that what is dark does not depend on the
+/// exposure. Only ratios of shading are used.
+void divide_by_median(ShadingHarmonics& harmonics, const Eigen::VectorXd& values) {
+  const double usual = median(std::vector<double>(values.begin(), values.end()));
+  if (usual > 0) harmonics /= usual;
+}
+
 Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   Shading shading;
   if (samples.size() < 100) return shading;
@@ -369,6 +376,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
     values[i] = s.s0;
   }
   shading.harmonics.head<4>() = robust_fit(rows, values);
+  divide_by_median(shading.harmonics, rows * shading.harmonics.head<4>());
   const Eigen::Vector3d direct = robust_fit(rows.rightCols<3>(), values);
   if (direct.norm() > 0) shading.light = direct.normalized();
   return shading;
@@ -395,6 +403,7 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
     harmonics = robust_fit(relative, values.cwiseQuotient(errors));
     errors = (rows * harmonics).cwiseMax(darkest);
   }
+  divide_by_median(harmonics, rows * harmonics);
   return harmonics;
 }
 

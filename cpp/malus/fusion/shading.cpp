@@ -21,7 +21,7 @@ ShadingHarmonics shading_basis(const Eigen::Vector3d& n) {
 }
 
 LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q) {
-  constexpr double darkest = 0.02;
+  constexpr double darkest = 0.1;  // as in the fits
   const double slant2 = 1 + p * p + q * q, scale = 1 / std::sqrt(slant2);
   const Eigen::Vector3d n = (p * frame.right + q * frame.up + frame.view) * scale;
   const double shading = harmonics.dot(shading_basis(n));

@@ -11,7 +11,7 @@ struct RegistrationOptions {
   double fine_sigma_px = 0.7;  ///< of the band-pass filter for the comparison of images
   double coarse_sigma_px = 8;
   double cauchy_scale = 2;
-  int max_iterations = 50;  ///< at each level of the pyramid
+  int max_iterations = 15;  ///< at each level of the pyramid
   double max_shift = 0.04;  ///< as a share of the image width
   double max_uncertainty_px = 0.3;
 
