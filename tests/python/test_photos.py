@@ -152,6 +152,13 @@ def test_damaged_photo_is_named(photo_station: Path, tmp_path: Path, fake_colmap
     fails(photo_station, tmp_path / "work", 2, "view 2.jpg")
 
 
+def test_a_pose_that_the_photos_replace_is_named(photo_station: Path) -> None:
+    warning = "the pose in [camera] is not used: the station is placed among the [photos]"
+    assert warning not in package.check(package.Station.load(photo_station))["warnings"]
+    edit(photo_station, "100.0, 80.0]", "100.0, 80.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 99999]")
+    assert warning in package.check(package.Station.load(photo_station))["warnings"]
+
+
 def test_excluded_photo_that_is_not_there(photo_station: Path, tmp_path: Path, fake_colmap: Path) -> None:
     edit(photo_station, 'folder = "views"', 'folder = "views"\nexclude = ["none.jpg"]')
     fails(photo_station, tmp_path / "work", 2, "exclude", "none.jpg")

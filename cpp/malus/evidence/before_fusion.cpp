@@ -33,8 +33,7 @@ std::vector<Finding> findings_before_fusion(const BeforeFusion& input, const Con
   const std::vector<Eigen::Vector3d> points = points_of(input.prior_depth, images.object, images.camera);
   if (!points.empty()) findings.push_back(object_size(points, images.camera, images.unit).finding);
   const Image<float> normals = normals_from_depth(input.prior_depth, images.camera, context);
-  const Pinhole* const camera = input.is_perspective ? &images.camera : nullptr;
-  PhaseAgreement phase = phase_agreement(images.state, camera, normals, context);
+  PhaseAgreement phase = phase_agreement(images.state, &images.camera, normals, context);
   const PriorAlignment place = input.cloud != nullptr ? check_alignment(*input.cloud, input.pose, images, context)
                                                       : check_alignment(input.prior_depth, images, context);
   const bool is_interpolated = place.object_covered < PriorAlignment::poorly_covered;

@@ -23,7 +23,6 @@ struct BeforeFusion {
   const PointCloud* cloud = nullptr;  ///< cloud that the prior was made of (world frame); null = another kind of prior
   bool known_linear = false;          ///< the response check found the images linear (says_linear)
   std::string response = "linear";    ///< curve that made the images linear, by its name in the station file
-  bool is_perspective = true;         ///< false: rays are taken to be parallel
 };
 
 /// All checks of the input that need no fusion: "size", "phase", "prior" (where the cloud or depth map lies) and

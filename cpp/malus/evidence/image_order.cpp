@@ -29,10 +29,14 @@ std::size_t moved(const Order& order) {
 }
 
 /// Σ I Iᵀ / mean I over the samples.
-Eigen::MatrixXd products_of(const PixelSamples& samples) {
+Eigen::MatrixXd products_of(const PixelSamples& samples, const Context& context) {
   const Eigen::Index count = samples.values.front().size();
   Eigen::MatrixXd products = Eigen::MatrixXd::Zero(count, count);
-  for (const Eigen::VectorXd& values : samples.values) products += values * values.transpose() / values.mean();
+  for (std::size_t i = 0; i < samples.values.size(); ++i) {
+    if (i % PixelSamples::between_checks == 0) context.check_cancel();
+    const Eigen::VectorXd& values = samples.values[i];
+    products += values * values.transpose() / values.mean();
+  }
   return products;
 }
 
@@ -110,14 +114,15 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   // Images shifted by a fraction of a pixel differ where brightness changes from pixel to pixel, which in some order
   // looks like polarization. Means over several pixels suppress this; polarization hardly changes over them.
   constexpr int reach_px = 2;
-  const PixelSamples samples = pixel_samples(images, angles_rad, mask, reach_px);
+  const PixelSamples samples = pixel_samples(images, angles_rad, mask, reach_px, context);
   if (images.size() < 4 || samples.values.size() < min_samples) {
     finding.message =
         "whether the images are in the order of their angles could not be checked: expected four images "
         "or more, and an object of some hundred pixels that are neither dark nor saturated";
     return result;
   }
-  const Eigen::MatrixXd products = products_of(samples), projection = residual_projection(polarizer_rows(angles_rad));
+  const Eigen::MatrixXd products = products_of(samples, context),
+                        projection = residual_projection(polarizer_rows(angles_rad));
   const TriedOrders tried = images.size() <= most_permuted ? all_orders(projection, products, context)
                                                            : exchanges(projection, products, context);
   // Of orders that fit about as well, choose the one that moves the fewest images.

@@ -29,7 +29,7 @@ bool add_pixel(const std::vector<Image<float>>& images, const Mask& mask, int u,
 }  // namespace
 
 PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                           const Mask& mask, int reach_px) {
+                           const Mask& mask, int reach_px, const Context& context) {
   if (images.empty() || images.size() != angles_rad.size()) {
     throw input_error(std::to_string(images.size()) + " images and " + std::to_string(angles_rad.size()) +
                       " angles, expected one angle per image");
@@ -40,6 +40,7 @@ PixelSamples pixel_samples(const std::vector<Image<float>>& images, const std::v
   const int stride = stride_on(mask, size, wanted, least_on_object * wanted);
   const int side = 2 * reach_px + 1;
   for (int v = reach_px; v < size.height - reach_px; v += stride) {
+    context.check_cancel();
     for (int u = reach_px; u < size.width - reach_px; u += stride) {
       Eigen::VectorXd sum = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(images.size()));
       bool counts = true;

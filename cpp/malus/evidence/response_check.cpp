@@ -36,13 +36,15 @@ struct Sums {
 
 /// Σ r · h and Σ h · h by parts of the image, with residuals r and second harmonics h, each pixel divided by its
 /// intensity.
-std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad) {
+std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, const std::vector<double>& angles_rad,
+                                                   const Context& context) {
   const Eigen::MatrixX3d rows = polarizer_rows(angles_rad);
   const Eigen::MatrixXd projection = residual_projection(rows);
   const Eigen::Matrix3Xd inverse = stokes_of_intensities(rows);
   std::array<Sums, PixelSamples::part_count> sums;
   Eigen::VectorXd bent(static_cast<Eigen::Index>(angles_rad.size()));
   for (std::size_t i = 0; i < samples.values.size(); ++i) {
+    if (i % PixelSamples::between_checks == 0) context.check_cancel();
     const Eigen::Vector3d stokes = inverse * samples.values[i];
     const double intensity = stokes[0] / 2, degree = std::hypot(stokes[1], stokes[2]) / stokes[0];
     if (!(degree > least_polarized)) continue;
@@ -64,8 +66,7 @@ std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, 
 
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                              const Mask& mask, const std::string& response, const Context& context) {
-  context.check_cancel();
-  const PixelSamples samples = pixel_samples(images, angles_rad, mask, 0);
+  const PixelSamples samples = pixel_samples(images, angles_rad, mask, 0, context);
   ResponseCheck result;
   Finding& finding = result.finding;
   finding.check = "response";
@@ -73,7 +74,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.message = "whether the images are linear could not be checked: expected four different angles or more";
     return result;
   }
-  const auto parts = sums_of(samples, angles_rad);
+  const auto parts = sums_of(samples, angles_rad, context);
   Sums all;
   for (const Sums& part : parts) {
     all.product += part.product;

@@ -155,16 +155,11 @@ std::string where_of(const std::filesystem::path& path, const InputFile& file) {
   return path.string() + " line " + std::to_string(file.line_number());
 }
 
-bool is_comment(std::string_view line) {
-  const std::size_t first = line.find_first_not_of(" \t");
-  return first == std::string_view::npos || line[first] == '#';
-}
-
 void read_cameras_text(Builder& builder) {
   const auto path = builder.file("cameras.txt");
   InputFile file(path, "COLMAP cameras");
   for (std::string_view line; file.read_line(line);) {
-    if (is_comment(line)) continue;
+    if (is_comment(line, {"#"})) continue;
     const std::string where = where_of(path, file);
     Words words(line, where);
     const auto id = words.number<std::uint32_t>("camera id");
@@ -195,7 +190,7 @@ void read_images_text(Builder& builder, ColmapParts parts) {
   const auto path = builder.file("images.txt");
   InputFile file(path, "COLMAP images");
   for (std::string_view line; file.read_line(line);) {
-    if (is_comment(line)) continue;
+    if (is_comment(line, {"#"})) continue;
     const std::string where = where_of(path, file);
     Words words(line, where);
     const auto id = words.number<std::uint32_t>("image id");
@@ -218,7 +213,7 @@ void read_points_text(Builder& builder) {
   const auto path = builder.file("points3D.txt");
   InputFile file(path, "COLMAP points");
   for (std::string_view line; file.read_line(line);) {
-    if (is_comment(line)) continue;
+    if (is_comment(line, {"#"})) continue;
     const std::string where = where_of(path, file);
     Words words(line, where);
     const auto id = words.number<std::uint64_t>("point id");

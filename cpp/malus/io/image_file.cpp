@@ -196,11 +196,11 @@ Image<std::uint8_t> read_labels(const std::filesystem::path& path) {
   const RawImage image = read_image(path, "label image");
   if (image.pixels.channels() != 1 || image.bits != 8) {
     throw input_error(name_of("label image", path) + " has " + std::to_string(image.pixels.channels()) +
-                      " channels of " + std::to_string(image.bits) + " bits, expected 1 channel of 8 bits");
+                      " channels of " + std::to_string(image.bits) + " bits, expected 1 channel of at most 8 bits");
   }
   Image<std::uint8_t> labels(image.pixels.size());
   std::transform(image.pixels.begin(), image.pixels.end(), labels.begin(),
-                 [](float value) { return static_cast<std::uint8_t>(value); });
+                 [&](float value) { return static_cast<std::uint8_t>(static_cast<int>(value) / image.scale); });
   return labels;
 }
 

@@ -17,6 +17,7 @@ struct RawImage {
   int bits = 0;         ///< of a sample: 8 or 16, or 32 or 64 in floating-point files
   /// Text of GDAL's tag for the value that stands for "no data", of a TIFF that has it; empty if it cannot be read.
   std::optional<std::string> no_data = {};
+  int scale = 1;  ///< of the file's numbers: 255, 85 or 17 for a gray PNG of 1, 2 or 4 bits, which become 8
 
   bool is_float() const { return bits > 16; }
   /// White of the format: 255 or 65535; 1 for floating-point files.
@@ -55,7 +56,7 @@ bool is_raw_name(const std::filesystem::path& path);
 /// than 5 % of the pixels between black and white.
 Mask read_mask(const std::filesystem::path& path);
 
-/// Values of an 8-bit one-channel image, unchanged (label images).
+/// Values of a one-channel image of up to 8 bits as the file has them (label images).
 Image<std::uint8_t> read_labels(const std::filesystem::path& path);
 
 /// Floating-point TIFF with 1 or 3 channels, values unchanged (NaN stays), but NaN for the value that GDAL's nodata tag

@@ -26,6 +26,11 @@ void split_words(std::string_view line, std::vector<std::string_view>& words, st
   }
 }
 
+bool is_comment(std::string_view line, std::initializer_list<std::string_view> marks) {
+  line.remove_prefix(std::min(line.find_first_not_of(" \t"), line.size()));
+  return line.empty() || std::ranges::any_of(marks, [line](std::string_view mark) { return line.starts_with(mark); });
+}
+
 std::string path_of_windows(std::string_view text) {
   return text.find('\\') == std::string_view::npos
              ? ""

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <initializer_list>
 #include <limits>
 #include <optional>
 #include <string>
@@ -44,6 +45,9 @@ inline bool parse_number(std::string_view word, double& value) {
 
 /// Replaces `words` by those of a line.
 void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;");
+
+/// Whether a line is blank, or begins, after blanks, with one of the marks.
+bool is_comment(std::string_view line, std::initializer_list<std::string_view> marks);
 
 /// Advice, for messages, on what to write instead of the backslashes in a path or in a line of a file; "" = no
 /// backslashes.

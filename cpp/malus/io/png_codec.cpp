@@ -22,7 +22,7 @@ struct PngReader {
 
   Alpha alpha = Alpha::dropped;
   ImageHeader header;
-  int bits = 8;
+  int bits = 8, scale = 1;
   std::size_t row_bytes = 0;
   LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
@@ -57,7 +57,10 @@ bool read_png_header(PngReader& reader) {
   const int color = png_get_color_type(reader.png, reader.info);
   const int depth = png_get_bit_depth(reader.png, reader.info);
   if (color == PNG_COLOR_TYPE_PALETTE) png_set_palette_to_rgb(reader.png);
-  if (color == PNG_COLOR_TYPE_GRAY && depth < 8) png_set_expand_gray_1_2_4_to_8(reader.png);
+  if (color == PNG_COLOR_TYPE_GRAY && depth < 8) {
+    png_set_expand_gray_1_2_4_to_8(reader.png);
+    reader.scale = 255 / ((1 << depth) - 1);
+  }
   if (depth == 16) png_set_swap(reader.png);
   if (reader.alpha == Alpha::dropped) {
     png_set_strip_alpha(reader.png);
@@ -68,6 +71,7 @@ bool read_png_header(PngReader& reader) {
   png_read_update_info(reader.png, reader.info);
   reader.header.size = {static_cast<int>(png_get_image_width(reader.png, reader.info)),
                         static_cast<int>(png_get_image_height(reader.png, reader.info))};
+  reader.header.most_pixels = deflate_ratio * 8 * static_cast<double>(reader.bytes.size()) / depth;
   reader.bits = depth == 16 ? 16 : 8;
   reader.header.channels = png_get_channels(reader.png, reader.info);
   reader.row_bytes = png_get_rowbytes(reader.png, reader.info);
@@ -144,8 +148,6 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
   if (reader.png) reader.info = png_create_info_struct(reader.png);
   if (!reader.info) throw std::bad_alloc();
   if (!read_png_header(reader)) throw std::runtime_error(reader.error);
-  const double bits_per_pixel = png_get_bit_depth(reader.png, reader.info);
-  reader.header.most_pixels = deflate_ratio * 8 * static_cast<double>(bytes.size()) / bits_per_pixel;
   check(reader.header);
 
   const auto height = static_cast<std::size_t>(reader.header.size.height);
@@ -155,6 +157,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
   if (!read_png_rows(reader)) throw std::runtime_error(reader.error);
 
   RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits};
+  image.scale = reader.scale;
   if (reader.bits == 16) {
     to_float<png_uint_16>(reader.samples.data(), image.pixels);
   } else {

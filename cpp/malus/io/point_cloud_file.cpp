@@ -92,18 +92,21 @@ double scale_of_colors(std::span<const Eigen::Vector3f> values) {
   return largest <= 1 ? 255 : largest <= 255 ? 1 : 255.0 / 65535;
 }
 
-/// Whether three columns without names are normals and not colors: some numbers are negative, or most of the triples
-/// have length 1. Zeros are black or an unknown normal, and say nothing.
-bool are_normals(std::span<const Eigen::Vector3f> values) {
+/// How much three columns without names look like normals, by all lines: no color is negative, and few have length 1.
+/// Zeros are black or an unknown normal, and say nothing.
+enum class LikeNormals { no, unknown, by_length, by_sign };
+
+LikeNormals like_normals(std::span<const Eigen::Vector3f> values) {
   constexpr float rounding = 0.02F;
   std::size_t known = 0, of_length_1 = 0;
   for (const Eigen::Vector3f& value : values) {
-    if (value.minCoeff() < 0) return true;
+    if (value.minCoeff() < 0) return LikeNormals::by_sign;
     const float length = value.norm();
     known += length > 0;
     of_length_1 += std::abs(length - 1) < rounding;
   }
-  return 2 * of_length_1 >= known;
+  if (known == 0) return LikeNormals::unknown;
+  return 2 * of_length_1 >= known ? LikeNormals::by_length : LikeNormals::no;
 }
 
 /// Collects points; finds coordinates that are not finite.
@@ -136,17 +139,16 @@ class CloudBuilder {
     }
   }
 
-  /// `may_be_normals`: nothing says whether the columns taken for colors are colors or normals.
-  PointCloud finish(const InputFile& file, bool may_be_normals = false) {
+  /// `are_named`: whether the file names the columns; otherwise those taken for colors may be normals.
+  PointCloud finish(const InputFile& file, bool are_named = true) {
     if (bad_ > 0) {
       throw file.error(std::to_string(bad_) + " of " + std::to_string(cloud_.points.size()) +
                        " points have coordinates that are not finite (NaN or infinite), the first is number " +
                        std::to_string(first_bad_) + ", counted from 0");
     }
     if (cloud_.points.empty()) throw file.error("has no points");
-    if (may_be_normals && are_normals(unscaled_)) {
-      cloud_.normals = std::move(unscaled_);
-    } else if (!unscaled_.empty()) {
+    if (!are_named) tell_normals_from_colors();
+    if (!unscaled_.empty()) {
       const double scale = scale_of_colors(unscaled_);
       cloud_.colors.reserve(unscaled_.size());
       for (const Eigen::Vector3f& color : unscaled_) cloud_.colors.push_back(rgb(color.cast<double>() * scale));
@@ -155,6 +157,13 @@ class CloudBuilder {
   }
 
  private:
+  /// Six columns have one of both, nine have both, in either order.
+  void tell_normals_from_colors() {
+    const LikeNormals colors = like_normals(unscaled_);
+    if (has_normals_ ? colors > like_normals(cloud_.normals) : colors != LikeNormals::no)
+      std::swap(cloud_.normals, unscaled_);
+  }
+
   static Rgb rgb(const Eigen::Vector3d& color) {
     const auto byte = [](double value) {
       const double rounded = std::round(value);
@@ -373,9 +382,8 @@ TriangleMesh read_ply(InputFile& file, PlyParts parts, const Context& context) {
 
 // ---- XYZ text ----
 
-bool is_comment(std::string_view line) {
-  const std::size_t first = line.find_first_not_of(" \t");
-  return first == std::string_view::npos || line[first] == '#' || line[first] == '%' || line.substr(first, 2) == "//";
+bool is_comment_of_text(std::string_view line) {
+  return is_comment(line, {"#", "%", "//"});
 }
 
 /// Slot of a column's name, which may be in quotes, or slot_count.
@@ -387,7 +395,7 @@ std::size_t slot_of_column(std::string_view name) {
 /// Columns by the names of a header line, if it names x, y and z. In a comment one of the known names must come first,
 /// because any text can have x, y and z somewhere.
 std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::string_view>& words) {
-  const bool comment = is_comment(line);
+  const bool comment = is_comment_of_text(line);
   line.remove_prefix(std::min(line.find_first_not_of("#/% \t"), line.size()));
   split_words(line, words);
   if (words.empty() || (comment && slot_of_column(words[0]) == slot_count)) return std::nullopt;
@@ -399,22 +407,13 @@ std::optional<Columns> columns_of_names(std::string_view line, std::vector<std::
   return columns.has_three(slot_x) ? std::optional(columns) : std::nullopt;
 }
 
-/// Meaning of columns without names, from their number and the first line's values. The last three of six may be
-/// normals, which only all lines show (are_normals).
-Columns columns_of_values(const std::vector<double>& values) {
+/// Meaning of columns without names; all lines together show which of them are normals instead
+/// (CloudBuilder::finish).
+Columns columns_of_count(std::size_t count) {
   Columns columns;
   columns.set_three(slot_x, 0);
-  const auto are_bytes = [&values](std::size_t first) {
-    const auto begin = values.begin() + static_cast<std::ptrdiff_t>(first);
-    return std::all_of(begin, begin + 3, [](double v) { return v >= 0 && v <= 255 && v == std::floor(v); });
-  };
-  if (values.size() == 6) {
-    columns.set_three(slot_red, 3);
-  } else if (values.size() == 9) {
-    const bool normals_first = !are_bytes(3) && are_bytes(6);
-    columns.set_three(slot_red, normals_first ? 6 : 3);
-    columns.set_three(slot_nx, normals_first ? 3 : 6);
-  }
+  if (count == 6 || count == 9) columns.set_three(slot_red, 3);
+  if (count == 9) columns.set_three(slot_nx, 6);
   return columns;
 }
 
@@ -470,7 +469,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
       named = columns.has_value();
       if (named) continue;
     }
-    if (is_comment(line)) continue;
+    if (is_comment_of_text(line)) continue;
     split_words(line, words);
     values.resize(words.size());
     bool numbers = true;
@@ -480,7 +479,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
     if (first && numbers && values.size() == 1 && !std::exchange(counted, true)) continue;
     if (!numbers || values.size() < 3) throw malformed_line(file, line);
     if (has_decimal_commas(line, words)) throw malformed_line(file, line, "numbers with decimal points, not commas");
-    if (!columns) columns = columns_of_values(values);
+    if (!columns) columns = columns_of_count(values.size());
     if (values.size() < columns->count()) throw malformed_line(file, line);
     if (first) {
       builder.emplace(*columns, std::nullopt);
@@ -495,7 +494,7 @@ PointCloud read_xyz(InputFile& file, const Context& context) {
         "numbers its points in the first column, expected x y z first, or a first line that names the columns, such as "
         "id x y z");
   }
-  return builder->finish(file, !named && columns_there == 6);
+  return builder->finish(file, named);
 }
 
 /// Throws for files that are neither PLY nor text; nothing of the file may have been read.

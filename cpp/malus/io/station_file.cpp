@@ -616,6 +616,24 @@ PhotosSpec read_photos(const TomlTable& table) {
   return spec;
 }
 
+std::optional<PhotosSpec> photos_in(const TomlTable& document) {
+  const auto table = document.section("photos", keys_of(PhotosSpec{}));
+  return table ? std::optional(read_photos(*table)) : std::nullopt;
+}
+
+/// The tables of a file that may have any others, too, such as that of an object.
+TomlTable any_tables(const toml::table& root, const std::filesystem::path& path) {
+  Keys all;
+  for (const auto& entry : root) all.push_back(entry.first.str());
+  return {root, path, "", all};
+}
+
+std::optional<PhotosSpec> photos_in_file(const std::filesystem::path& given_path) {
+  const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
+  const toml::table root = read_toml(path, "file");
+  return photos_in(any_tables(root, path));
+}
+
 ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>& photos) {
   ScaleBar bar;
   bar.distance = table.required(table.number("distance", positive_range), "distance", "a length in the station's unit");
@@ -741,26 +759,10 @@ void read_regions(const TomlTable& document, Size size, StationFile& station) {
     station.profiles.push_back(read_profile(table, read_name(table, station.profiles.size(), names), size));
 }
 
-/// Gives the tables of a station without [photos] and [prior] the [photos] of another file, whose folder their paths
-/// are relative to.
-void share_photos(toml::table& root, const std::filesystem::path& given_path) {
-  if (root.contains("photos") || root.contains("prior")) return;
-  const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
-  const toml::table other = read_toml(path, "file");
-  const toml::table* const photos = other["photos"].as_table();
-  if (photos == nullptr) return;
-  toml::table shared = *photos;
-  for (const std::string_view key : {"folder", "masks"}) {
-    if (const auto folder = shared[key].value<std::string>())
-      shared.insert_or_assign(key, (path.parent_path() / *folder).lexically_normal().string());
-  }
-  root.insert_or_assign("photos", std::move(shared));
-}
-
 }  // namespace
 
-StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path,
-                                const GivenInMemory* given) {
+StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given,
+                                const std::optional<PhotosSpec>& shared_photos) {
   StationFile station;
   station.path = path;
   Keys known{"station", "object", "polarized", "optics", "prior", "photos", "scale", "control", "patch", "profile"};
@@ -778,7 +780,7 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
   station.polarized = read_polarized(polarized, given);
   if (const auto table = document.section("optics", {"refractive_index", "reflection", "light", "metal"}))
     station.optics = read_optics(*table, given);
-  if (const auto table = document.section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
+  station.photos = document.has("photos") ? photos_in(document) : shared_photos;
   const bool prior_in_memory = given != nullptr && given->has_prior;
   if (const auto table = document.section("prior", joined({surface_keys, {"sigma"}}))) {
     station.prior = read_prior(*table, prior_in_memory);
@@ -793,7 +795,10 @@ StationFile read_station_tables(const toml::table& root, const std::filesystem::
     images = size_of_images(station, polarized.where("images"));
   }
   const Keys camera_keys = joined({{"colmap_model", "image"}, lens_keys, pose_keys, brown_keys});
-  if (const auto table = document.section("camera", camera_keys)) read_camera(document, *table, images, station);
+  if (const auto table = document.section("camera", camera_keys)) {
+    read_camera(document, *table, images, station);
+    station.has_unused_pose = station.frame_is_of_photos() && station.camera;
+  }
   const bool has_prior = station.prior || prior_in_memory;
   if (has_prior && !station.camera) {
     const std::string why_not_found = "; with [prior], the camera is not looked for in [photos]";
@@ -823,19 +828,18 @@ Shape read_shape_table(const toml::table& root) {
 StationFile read_station_file(const std::filesystem::path& given_path,
                               const std::optional<std::filesystem::path>& photos_of) {
   const std::filesystem::path path = std::filesystem::absolute(given_path).lexically_normal();
-  toml::table root = read_toml(path, "station file");
-  if (photos_of) share_photos(root, *photos_of);
-  return read_station_tables(root, path, nullptr);
+  const toml::table root = read_toml(path, "station file");
+  const bool has_surface = root.contains("photos") || root.contains("prior");
+  const auto shared = photos_of && !has_surface ? photos_in_file(*photos_of) : std::nullopt;
+  return read_station_tables(root, path, nullptr, shared);
 }
 
 StationFile read_photos_tables(const std::filesystem::path& path) {
   StationFile station;
   station.path = std::filesystem::absolute(path).lexically_normal();
   const toml::table root = read_toml(station.path, "file");
-  Keys all;
-  for (const auto& entry : root) all.push_back(entry.first.str());
-  const TomlTable document(root, station.path, "", all);
-  if (const auto table = document.section("photos", keys_of(PhotosSpec{}))) station.photos = read_photos(*table);
+  const TomlTable document = any_tables(root, station.path);
+  station.photos = photos_in(document);
   station.control = read_control(document, station);
   read_scale_bars(document, station, false);
   return station;

@@ -213,6 +213,7 @@ struct StationFile {
   std::optional<CameraSpec>
       camera;  ///< known lens and pose; with a depth map or shape as prior and no pose, the world frame is the camera's
   std::optional<LensCamera> lens;  ///< known lens; the pose comes from [photos]; never set together with `camera`
+  bool has_unused_pose = false;    ///< [camera] has a pose, but the station is placed among the [photos]
   std::vector<std::filesystem::path> camera_files;  ///< of the COLMAP model that `camera` was read from
   std::optional<std::string> camera_image;          ///< [camera].image: the station's name in the photos' model
   std::optional<PriorFile> prior;

@@ -5,6 +5,7 @@
 #include <toml++/toml.h>
 
 #include <filesystem>
+#include <optional>
 
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_spec.h"
@@ -12,8 +13,10 @@
 namespace malus {
 
 /// As read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative paths start
-/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask or camera.
-StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given);
+/// at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask or camera. `shared_photos`:
+/// those of tables without [photos].
+StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given,
+                                const std::optional<PhotosSpec>& shared_photos = std::nullopt);
 
 /// The shape in a table with one of the keys `plane`, `sphere` and `cylinder` of [prior].
 Shape read_shape_table(const toml::table& root);

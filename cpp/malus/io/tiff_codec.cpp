@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <cstring>
 #include <exception>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 
@@ -220,10 +221,26 @@ void check_block(const Layout& layout) {
   }
 }
 
+/// The most bytes of samples for each byte of the file.
+double densest(std::uint16_t compression) {
+  switch (compression) {
+    case COMPRESSION_NONE:
+      return 1;
+    case COMPRESSION_LZMA:
+      return 8192;  // a match of 273 bytes takes 14 decisions of 0.022 bits or more
+    case COMPRESSION_ZSTD:
+      return 32768;  // a run of 128 KB takes 4 bytes
+    case COMPRESSION_LERC:
+    case COMPRESSION_WEBP:
+      return std::numeric_limits<double>::infinity();  // an even block of any size takes a few bytes
+    default:
+      return 4096;  // LZW strings reach 4096 bytes for 12 bits, and nothing else is much denser
+  }
+}
+
 double most_pixels(const Layout& layout, std::size_t file_bytes) {
-  // LZW strings reach 4096 bytes for 12 bits; no other compression that libtiff reads is much denser.
-  const double ratio = layout.compression == COMPRESSION_NONE ? 1 : 4096;
-  return ratio * static_cast<double>(file_bytes) / static_cast<double>(layout.samples * layout.sample_bytes());
+  return densest(layout.compression) * static_cast<double>(file_bytes) /
+         static_cast<double>(layout.samples * layout.sample_bytes());
 }
 
 template <class Sample>

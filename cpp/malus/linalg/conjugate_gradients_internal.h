@@ -28,7 +28,7 @@ ConjugateGradients conjugate_gradients(const Product& product, const Preconditio
   double along = 0;
   for (;; ++end.iterations) {
     end.residual = residual.norm();
-    if (!(end.residual > enough)) return end;
+    if (end.residual <= enough) return end;
     context.check_cancel();
     if (end.iterations == most_iterations) {
       end.status = SolveStatus::inaccurate;

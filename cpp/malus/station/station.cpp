@@ -90,6 +90,8 @@ std::string describe_station_json(const Station& station) {
 
 std::vector<std::string> station_warnings(const Station& station) {
   std::vector<std::string> warnings = scale_warnings(station.file);
+  if (station.file.has_unused_pose)
+    warnings.emplace_back("the pose in [camera] is not used: the station is placed among the [photos]");
   // The camera from a model of photos is in the control points' frame only after the photogrammetry.
   if (station.file.frame_is_of_photos() && !station.photogrammetry) return warnings;
   for (std::string& warning : control_warnings(station.file)) warnings.push_back(std::move(warning));

@@ -59,9 +59,9 @@ struct Station {
 /// Content of a station as JSON, for people and programs: name, unit, images, angles, camera, prior, patches, profiles.
 std::string describe_station_json(const Station& station);
 
-/// Warnings about a station's own control points and known distances. Every run gives them again, outside of any step.
-/// If they belonged to a step, the step would depend on the points' names and on each distance, and a change of these
-/// that does not affect the surface would repeat the step and all that follow it.
+/// Warnings about a station's own control points, known distances and unused pose. Every run gives them again, outside
+/// of any step. If they belonged to a step, the step would depend on the points' names and on each distance, and a
+/// change of these that does not affect the surface would repeat the step and all that follow it.
 std::vector<std::string> station_warnings(const Station& station);
 
 }  // namespace malus

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cmath>
 #include <functional>
 #include <numbers>
@@ -9,6 +10,7 @@
 #include "malus/core/error.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
+#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -117,6 +119,13 @@ TEST(ImageOrder, SaysThatThreeImagesCannotBeChecked) {
   const ImageOrder found = check_image_order(images_at(angles), angles, {}, {});
   EXPECT_NE(found.finding.message.find("could not be checked"), std::string::npos);
   EXPECT_THROW(check_image_order(images_at(angles), every(45, 4), {}, {}), Error);
+}
+
+TEST(ImageOrder, ReadingSamplesCanBeCanceled) {
+  const std::vector<double> angles = every(60, 3);
+  const std::atomic<bool> cancel = true;
+  const Context context{.cancel = &cancel};
+  expect_error(ErrorCode::interrupted, [&] { check_image_order(images_at(angles), angles, {}, context); });
 }
 
 TEST(ResponseCheck, DistinguishesLinearEncodedAndTwiceDecodedImages) {

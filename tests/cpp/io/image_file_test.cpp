@@ -173,6 +173,33 @@ TEST(ImageFile, ATileFarLargerThanItsImageIsRefused) {
       ErrorCode::input, [&] { read_image(path); }, "a.tif", "tiles far larger than its image");
 }
 
+TEST(ImageFile, EvenImagesMayBeFarLargerThanTheirFiles) {
+  const TemporaryFolder folder;
+  cv::Mat mask(2000, 4000, CV_8UC1, cv::Scalar(0));
+  mask(cv::Rect(1000, 500, 2000, 1000)).setTo(255);
+  const auto expect_read = [&](const std::filesystem::path& path, std::uintmax_t least_ratio) {
+    ASSERT_GT(mask.total(), least_ratio * std::filesystem::file_size(path)) << "not dense enough for this test";
+    const Image<float> read = read_image(path).pixels;
+    ASSERT_EQ(read.size(), (Size{4000, 2000}));
+    EXPECT_EQ(read(999, 1000), 0);
+    EXPECT_EQ(read(1000, 1000), 255);
+  };
+  const std::filesystem::path png = folder / "mask.png", tif = folder / "mask.tif";
+  ASSERT_TRUE(cv::imwrite(png.string(), mask, {cv::IMWRITE_PNG_BILEVEL, 1, cv::IMWRITE_PNG_COMPRESSION, 9}));
+  expect_read(png, 1032);
+  if (TIFFIsCODECConfigured(COMPRESSION_LZMA) == 0) GTEST_SKIP() << "libtiff without LZMA";
+  TIFF* tiff = TIFFOpen(tif.string().c_str(), "w");
+  TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, mask.cols);
+  for (const ttag_t rows : {TIFFTAG_IMAGELENGTH, TIFFTAG_ROWSPERSTRIP}) TIFFSetField(tiff, rows, mask.rows);
+  TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 1);
+  TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+  TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+  TIFFSetField(tiff, TIFFTAG_COMPRESSION, COMPRESSION_LZMA);
+  ASSERT_GE(TIFFWriteEncodedStrip(tiff, 0, mask.data, static_cast<tmsize_t>(mask.total())), 0);
+  TIFFClose(tiff);
+  expect_read(tif, 4096);
+}
+
 TEST(ImageFile, FloatTiffKeepsEveryBit) {
   const TemporaryFolder folder;
   for (const int channels : {1, 3}) {
@@ -352,6 +379,24 @@ TEST(ImageFile, ReadsMaskAndLabels) {
       ErrorCode::input, [&] { read_labels(folder / "rgb.png"); }, "3 channels");
   expect_error(
       ErrorCode::input, [&] { read_float_raster(folder / "label.png"); }, "8-bit integer");
+}
+
+TEST(ImageFile, LabelsOfTwoBitsAreNotScaled) {
+  const TemporaryFolder folder;
+  // A gray PNG of 4 x 1 pixels of 2 bits: 0, 1, 2, 3.
+  constexpr unsigned char png[] = {0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48,
+                                   0x44, 0x52, 0x00, 0x00, 0x00, 0x04, 0x00, 0x00, 0x00, 0x01, 0x02, 0x00, 0x00, 0x00,
+                                   0x00, 0x96, 0xe7, 0x48, 0xb0, 0x00, 0x00, 0x00, 0x0a, 0x49, 0x44, 0x41, 0x54, 0x78,
+                                   0x9c, 0x63, 0x90, 0x06, 0x00, 0x00, 0x1d, 0x00, 0x1c, 0x8e, 0xf4, 0xf5, 0x21, 0x00,
+                                   0x00, 0x00, 0x00, 0x49, 0x45, 0x4e, 0x44, 0xae, 0x42, 0x60, 0x82};
+  const std::filesystem::path path = folder.write("label.png", {reinterpret_cast<const char*>(png), sizeof png});
+  const Image<std::uint8_t> labels = read_labels(path);
+  const Image<float> gray = read_image(path).pixels;
+  ASSERT_EQ(labels.size(), (Size{4, 1}));
+  for (int u = 0; u < 4; ++u) {
+    EXPECT_EQ(labels(u, 0), u);
+    EXPECT_EQ(gray(u, 0), 85 * u) << "white is 255 elsewhere";
+  }
 }
 
 TEST(ImageFile, DistinguishesMasksFromPhotographs) {

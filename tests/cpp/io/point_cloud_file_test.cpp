@@ -195,9 +195,30 @@ TEST(PointCloudFile, ColumnsWithoutNamesAreToldByAllLines) {
   EXPECT_EQ(unknown.normals[1], Eigen::Vector3f(0.6f, -0.8f, 0));
   EXPECT_EQ(cloud("1 2 3 0.6 0 0.8\n4 5 6 0 0 0\n7 8 9 0 0.8 0.6\n").normals.size(), 3u) << "none is negative";
   EXPECT_EQ(cloud("x y z r g b\n1 2 3 0.2 0.6 1\n").colors[0], (Rgb{51, 153, 255}));
-  const PointCloud nine = cloud("1 2 3 0 -1 0 10 20 30\n");
-  EXPECT_EQ(nine.colors[0], (Rgb{10, 20, 30}));
-  EXPECT_EQ(nine.normals[0], Eigen::Vector3f(0, -1, 0));
+}
+
+TEST(PointCloudFile, NineColumnsWithoutNamesHaveNormalsAndColorsInEitherOrder) {
+  const TemporaryFolder folder;
+  const Eigen::Vector3f normal(0.6F, -0.8F, 0);
+  const auto check = [&](const std::string& text, std::size_t i, const Rgb& color) {
+    const PointCloud cloud = read_point_cloud(folder.write("a.xyz", text));
+    ASSERT_EQ(cloud.normals.size(), cloud.points.size()) << text;
+    ASSERT_EQ(cloud.colors.size(), cloud.points.size()) << text;
+    EXPECT_EQ(cloud.normals[i], normal) << text;
+    EXPECT_EQ(cloud.colors[i], color) << text;
+  };
+  check("1 2 3 0.6 -0.8 0 10 20 30\n", 0, {10, 20, 30});
+  check("1 2 3 10 20 30 0.6 -0.8 0\n", 0, {10, 20, 30});
+  // Normals of the first line that could be colors of bytes.
+  for (const std::string& first : {std::string("0 0 1"), std::string("1 0 0"), std::string("0 0 0")}) {
+    check("1 2 3 " + first + " 200 100 50\n4 5 6 0.6 -0.8 0 10 20 30\n", 1, {10, 20, 30});
+    check("1 2 3 0.2 0.6 1.0 " + first + "\n4 5 6 1 0 0.2 0.6 -0.8 0\n", 1, {255, 0, 51});
+  }
+  check("1 2 3 0 0 1 0.2 0.6 1.0\n4 5 6 0.6 -0.8 0 1 0 0.2\n", 1, {255, 0, 51});
+  check("1 2 3 0.6 -0.8 0 0 0 0\n", 0, {0, 0, 0});
+  check("1 2 3 1 0 0 0.6 -0.8 0\n", 0, {255, 0, 0});
+  const PointCloud none_negative = read_point_cloud(folder.write("a.xyz", "1 2 3 0 0.6 0.8 10 20 30\n"));
+  EXPECT_EQ(none_negative.normals[0], Eigen::Vector3f(0, 0.6F, 0.8F)) << "of length 1";
 }
 
 TEST(PointCloudFile, NumbersOfPointsAreNoCoordinates) {

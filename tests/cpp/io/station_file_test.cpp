@@ -439,6 +439,12 @@ TEST_F(StationFileTest, CameraWithoutPose) {
   EXPECT_FALSE(station.camera);
   ASSERT_TRUE(station.lens);
   EXPECT_EQ(station.lens->params[2], 5.5);
+  EXPECT_FALSE(station.has_unused_pose);
+  sections.camera += "qvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]\n";
+  EXPECT_TRUE(read(sections).has_unused_pose);
+  sections.prior = "[prior]\ncloud = \"cloud.ply\"\n";
+  EXPECT_FALSE(read(sections).has_unused_pose);
+  sections.prior.clear();
   sections.camera.clear();
   EXPECT_FALSE(read(sections).lens);
   sections.rest.clear();
@@ -611,6 +617,14 @@ TEST_F(StationFileTest, MayLeaveOutThePhotosThatAnotherFileNames) {
   EXPECT_TRUE(station.frame_is_of_photos() && station.lens && !station.camera);
   EXPECT_EQ(station.photos->folder, folder_ / "views");
   EXPECT_EQ(station.photos->exclude, std::vector<std::string>{"2.jpg"});
+  const auto rejects_photos = [&](const std::string& photos, const auto&... parts) {
+    folder_.write("other/object.toml", photos);
+    expect_error(
+        ErrorCode::input, [&] { read_station_file(folder_ / "station.toml", other); }, "other/object.toml, line",
+        parts...);
+  };
+  rejects_photos("\n[photos]\nfolder = \"none\"\n", "line 3", "[photos].folder", "an existing folder");
+  rejects_photos("[photos]\nfolder = \"../views\"\nexcludes = []\n", "line 3", "[photos].excludes", "unknown key");
   const StationFile with_prior = read_station_file(folder_.write("station.toml", Sections().text()), other);
   EXPECT_FALSE(with_prior.photos.has_value());
 }

@@ -65,6 +65,19 @@ TEST(GridSolver, ConjugateGradientsGiveTheDirectSolution) {
   }
 }
 
+TEST(GridSolver, ASystemWithNaNIsNotSolved) {
+  const PixelIndex pixels(Mask({30, 20}, 1, 1));
+  GridSystem system(pixels);
+  add_height_like_rows(system);
+  system.add_right(7, NAN);
+  for (const int direct_unknowns : {GridSolver::most_direct_unknowns, 0}) {
+    Eigen::VectorXd x;
+    const SolveStatus status =
+        GridSolver(pixels, {}, direct_unknowns).solve(system, relative_ridge * system.largest_diagonal(), x);
+    EXPECT_NE(status, SolveStatus::solved) << direct_unknowns;
+  }
+}
+
 TEST(GridSolver, HolesThinLinesAndSeparatePartsGiveTheDirectSolution) {
   const PixelIndex pixels(difficult_mask(300));
   GridSystem system(pixels);
