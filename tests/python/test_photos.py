@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -647,7 +648,7 @@ def test_a_search_that_any_assumed_lens_left_unfinished_is_repeated(
     for name in ("copy", "set_camera", "camera_of"):
         monkeypatch.setattr(photo_cameras.database, name, lambda *_: 1)
     groups = photo_cameras.group_by_camera(photos, None)
-    pairs = dict.fromkeys(zip(names, names[1:], strict=False), 50)
+    pairs = dict.fromkeys(itertools.pairwise(names), 50)
     found = photo_cameras._map(SimpleNamespace(folder=tmp_path), groups, pairs, sparing=False)  # type: ignore[arg-type]
     assert found[UNFINISHED] == unfinished
 
