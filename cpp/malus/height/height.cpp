@@ -65,10 +65,7 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
   if (problem.solve_linear(true, next) != SolveStatus::solved) return HeightStatus::singular;
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
-  if (const Eigen::VectorXd prior = problem.prior_heights();
-      prior.allFinite() && problem.linearize(prior) < problem.linearize(height)) {
-    height = prior;
-  }
+  if (problem.start_from_prior(next) && problem.linearize(next) < problem.linearize(height)) height = next;
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));

@@ -19,7 +19,8 @@ struct HeightInput {
   const ReflectionMap& reflection;
   const Pinhole* camera = nullptr;             ///< null = orthographic, square pixels
   LightEstimate light;                         ///< for the rays that is_perspective() says; see judge_direction
-  const Image<float>* prior_height = nullptr;  ///< form of HeightMap::height; start, and HeightBoundary::prior
+  const Image<float>* prior_height = nullptr;  ///< form of HeightMap::height, NaN = none; start, and
+                                               ///< HeightBoundary::prior
 
   /// Whether the rays are the camera's, not parallel.
   bool is_perspective(const HeightOptions& options) const { return options.perspective && camera != nullptr; }
