@@ -27,8 +27,6 @@ class HeightProblem {
   int unknowns() const { return pixels_.count(); }
   const PixelIndex& pixels() const { return pixels_; }
   double solver_bytes() const { return solver_.summary().bytes; }
-  /// Conjugate gradient iterations of the last solution; 0 if the system was factorized.
-  int solver_iterations() const { return solver_.summary().iterations; }
 
   /// Sets `height` to the prior's heights, continued by the linear system where the prior has none. False if the prior
   /// has no height at all or cannot be continued.
