@@ -35,7 +35,7 @@ void bind_capture(py::module_& module) {
     const Levels levels = levels_of(raw, spec, curve, 1, "image");
     return computed(1, [&](const Context& context) {
       return raw.pixels.channels() == 3
-                 ? linearize_color(raw, curve, levels, context)
+                 ? linearize_color(raw, curve, levels, "image", context)
                  : linearize(std::move(raw), curve, levels, channel_weights(spec), "image", context).intensity;
     });
   });

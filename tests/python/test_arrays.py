@@ -238,6 +238,10 @@ def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarr
         (lambda m, camera: m.polarization.diffuse_degree(["x"]), "zenith_rad has type"),
         (lambda m, camera: m.polarization.specular_zenith([[0.1], [0.1, 0.2]]), "degree has parts of different"),
         (lambda m, camera: m.capture.linearize([["x"]]), "image has type"),
+        (
+            lambda m, camera: m.capture.linearize([[[0.1, 0.2, 0.3], [0.1, np.nan, 0.3]]]),
+            r"image: pixel \(1, 0\) is not a finite number",
+        ),
         (lambda m, camera: camera.resected(np.eye(3), [["x", "y"]] * 3), "pixels has type"),
         (
             lambda m, camera: m.fusion.FusedSurface(np.ones((40, 50)), np.ones((40, 50)), np.ones((40, 50)), camera),

@@ -597,6 +597,13 @@ def test_a_height_that_cannot_be_computed_is_said_to_be_none(tiny_station: Path,
     assert not (work / "report/figures/polarization_height.png").exists()
 
 
+def test_a_height_that_still_changes_says_what_can_be_relied_on(tiny_station: Path) -> None:
+    options = malus.Options(height={"iterations": 1, "tolerance": 0})
+    warnings = malus.reconstruct(malus.Station.load(tiny_station), options, until="height").warnings
+    (said,) = (text for text in warnings if "the height was still changing at the end" in text)
+    assert "rely at most on its fine detail" in said and said.endswith("the refined surface does not use it")
+
+
 def test_light_of_a_rendered_bust_without_its_prior() -> None:
     """Both assumptions, compared with the light from the true normals. Measured: 1.2°; from the outline alone: 8.1°."""
     folder = ROOT / "examples/bust"

@@ -169,16 +169,18 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
                   const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
+  const std::array<double, 3> weights = channel_weights(spec);
+  const auto single = static_cast<std::size_t>(std::ranges::find(weights, 1.0) - weights.begin());
+  const bool of_one_color = spec.mosaic_colors && single < weights.size();
   // A pixel depends on samples up to 3 px away: on its neighbors, whose contrasts are smoothed over their neighbors. In
-  // color it is up to 4 px.
-  const Mask saturated = spread_flags(exposures.saturated[0], spec.mosaic_colors ? 4 : 3);
+  // color it is up to 4 px; samples of a single color are first interpolated over 2 px.
+  const Mask saturated = spread_flags(exposures.saturated[0], of_one_color ? 5 : spec.mosaic_colors ? 4 : 3);
   exposures.images.assign(4, {});
   if (!spec.mosaic_colors) {
     MosaicSplit split = demosaic(mosaic, name, context);
     std::ranges::move(split.channels, exposures.images.begin());
     shared = std::move(split.shared);
   } else {
-    const std::array<double, 3> weights = channel_weights(spec);
     ColorMosaic split = demosaic_color(mosaic, *spec.mosaic_colors, name, context);
     color = Image<float>(mosaic.size(), 3);
     for (std::size_t i = 0; i < mosaic.count(); ++i) {
@@ -193,8 +195,7 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     std::ranges::move(split.grey.channels, exposures.images.begin());
     shared = std::move(split.grey.shared);
     // Users select a single color because the colors are polarized differently.
-    const auto single = static_cast<std::size_t>(std::ranges::find(weights, 1.0) - weights.begin());
-    if (single < weights.size()) {
+    if (of_one_color) {
       MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[single], name, context);
       std::ranges::move(plane.channels, exposures.images.begin());
     }
@@ -338,7 +339,7 @@ Image<float> linear_color(const CaptureInput& input, std::size_t k, const Respon
     throw input_error(input.names[k] + " is gray, but " + input.names[0] + " is a color image");
   require_size(raw.pixels, size, input.names[k]);
   const Levels levels = levels_of(raw, input.polarized, curve, options.saturation, input.names[k]);
-  return linearize_color(raw, curve, levels, context);
+  return linearize_color(raw, curve, levels, input.names[k], context);
 }
 
 /// Mean over the images (of the shortest exposure) of their linear colors; a second pass over the files, so that memory

@@ -131,11 +131,12 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
                        const std::optional<std::array<double, 3>>& color_weights, const LinearImage& base) {
   NoiseModel noise;
   noise.frames_averaged = spec.frames_averaged;
-  const double frames = spec.frames_averaged, quantized = quantization_as_shot_noise(curve, levels, frames);
   double squares = color_weights ? 0 : 1;
   if (color_weights) {
     for (const double weight : *color_weights) squares += weight * weight;
   }
+  const double frames = spec.frames_averaged, quantized = squares * quantization_as_shot_noise(curve, levels, frames);
+  noise.quantization = std::sqrt(squares) * levels.dn_step * curve.slope(0);
   if (!spec.full_well_e) {
     // The estimate already includes the sum of channels, and quantization where noise is as large as a step. Less noise
     // leaves no trace of quantization, as in smooth parts of a JPEG.
@@ -146,15 +147,12 @@ NoiseModel noise_model(const PolarizedSpec& spec, const ResponseCurve& curve, co
       noise.full_well_e = estimate->full_well_e / frames;
       noise.read_noise_e =
           spec.read_noise_e ? *spec.read_noise_e / std::sqrt(squares) : estimate->read_noise_e / std::sqrt(frames);
-      noise.quantization = levels.dn_step * curve.slope(0);
-      const double least = squares * quantized;
-      if (least * noise.full_well_e > 1) set_full_well(noise, 1 / least);
+      if (quantized * noise.full_well_e > 1) set_full_well(noise, 1 / quantized);
       return noise;
     }
   }
   noise.full_well_e = spec.full_well_e.value_or(noise.full_well_e) / squares;
   noise.read_noise_e = spec.read_noise_e.value_or(noise.read_noise_e) / std::sqrt(squares);
-  noise.quantization = levels.dn_step * curve.slope(0);
   if (!curve.is_identity()) set_full_well(noise, 1 / (1 / noise.full_well_e + quantized));
   return noise;
 }

@@ -18,7 +18,7 @@ std::optional<NoiseModel> estimate_noise(const Image<float>& intensity, const Ma
 /// Noise model of a station's linear images. Full well and read noise come from the station file; without a full well
 /// there, what is missing comes from estimate_noise, for a color mosaic from the samples of one filter; else they are
 /// 20000 and 8 electrons. The model also includes:
-///  - the weighted sum of color channels, Σ w² of one channel's variance;
+///  - the weighted sum of color channels, Σ w² of one channel's variance and quantization;
 ///  - quantization behind a response curve that is not linear: its variance slope² step² / 12 grows about linearly with
 ///    the signal, so it is carried as additional shot noise (matched at half of white), plus a constant part at black.
 ///    Estimated shot noise is at least that.

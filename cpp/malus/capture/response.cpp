@@ -22,7 +22,7 @@ double srgb_to_linear(double x) {
 
 double interpolate(const std::vector<double>& x, const std::vector<double>& y, double at) {
   if (at <= x.front()) return y.front();
-  if (at >= x.back()) return y.back();
+  if (!(at < x.back())) return std::isnan(at) ? at : y.back();
   const auto i = static_cast<std::size_t>(std::upper_bound(x.begin(), x.end(), at) - x.begin());
   return y[i - 1] + (y[i] - y[i - 1]) * (at - x[i - 1]) / (x[i] - x[i - 1]);
 }
@@ -103,6 +103,10 @@ bool is_color(const RawImage& raw) {
     if (p[i] != p[i + 1] || p[i] != p[i + 2]) return true;
   }
   return false;
+}
+
+Error not_finite(const std::string& name, int u, int v) {
+  return input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) + ") is not a finite number");
 }
 
 }  // namespace
@@ -250,16 +254,13 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
   const bool color = is_color(raw);
   const Linearizer linearizer(raw, curve, levels);
   const Size size = raw.pixels.size();
-  const auto not_finite = [&](int u, int v) {
-    return input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) + ") is not a finite number");
-  };
   if (channels == 1) {
     LinearImage result{std::move(raw.pixels), Mask::uninitialized(size)};
     parallel_rows(context, size.height, [&](int v) {
       float* const row = result.intensity.row(v);
       if (linearizer.linearize_row(row, size.width, result.saturated.row(v))) return;
       const auto bad = std::find_if(row, row + size.width, [](float value) { return !std::isfinite(value); });
-      throw not_finite(static_cast<int>(bad - row), v);
+      throw not_finite(name, static_cast<int>(bad - row), v);
     });
     return result;
   }
@@ -270,12 +271,12 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
     for (int c = 0; c < (color ? 3 : 1); ++c) {
       const double dn = raw.pixels(u, v, c), weight = color ? weights[static_cast<std::size_t>(c)] : 1.0;
       // The object's color needs all channels.
-      if (!std::isfinite(dn)) throw not_finite(u, v);
+      if (!std::isfinite(dn)) throw not_finite(name, u, v);
       if (weight == 0) continue;
       sum += weight * linearizer.linear(dn);
       saturated = saturated || linearizer.saturated(dn);
     }
-    if (!std::isfinite(sum)) throw not_finite(u, v);
+    if (!std::isfinite(sum)) throw not_finite(name, u, v);
     result.intensity(u, v) = static_cast<float>(sum);
     result.saturated(u, v) = saturated ? 255 : 0;
   });
@@ -283,14 +284,17 @@ LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& le
 }
 
 Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
-                             const Context& context) {
+                             const std::string& name, const Context& context) {
   const Linearizer linearizer(raw, curve, levels);
   auto color = Image<float>::uninitialized(raw.pixels.size(), raw.pixels.channels());
   const int values = color.width() * color.channels();
   parallel_rows(context, color.height(), [&](int v) {
     const float* in = raw.pixels.row(v);
     float* out = color.row(v);
-    for (int i = 0; i < values; ++i) out[i] = static_cast<float>(linearizer.linear(in[i]));
+    for (int i = 0; i < values; ++i) {
+      out[i] = static_cast<float>(linearizer.linear(in[i]));
+      if (!std::isfinite(out[i])) throw not_finite(name, i / color.channels(), v);
+    }
   });
   return color;
 }

@@ -82,8 +82,8 @@ struct LinearImage {
 LinearImage linearize(RawImage raw, const ResponseCurve& curve, const Levels& levels,
                       const std::array<double, 3>& weights, const std::string& name, const Context& context);
 
-/// The three linear channels of a color image.
+/// The three linear channels of a color image. Input error naming `name` when it holds values that are not finite.
 Image<float> linearize_color(const RawImage& raw, const ResponseCurve& curve, const Levels& levels,
-                             const Context& context);
+                             const std::string& name, const Context& context);
 
 }  // namespace malus

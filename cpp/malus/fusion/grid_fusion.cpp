@@ -9,6 +9,7 @@
 
 #include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/fields.h"
 #include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
@@ -226,8 +227,14 @@ std::string caution_of_moving_height(const HeightMap& height) {
   std::ostringstream text;
   text.precision(2);
   text << "The height from polarization alone was still changing when its computation ended: its slopes by "
-       << to_degrees(std::atan(height.last_update)) << "° in the last of " << height.iterations
-       << " rounds. The surface's fine detail is less sure by about that; with a larger height.iterations it goes on.";
+       << to_degrees(std::atan(height.last_update)) << "° in the last of " << height.iterations << " rounds. ";
+  if (height.over_prior > most_over_prior) {
+    text
+        << "It is " << with_digits(height.over_prior, 2)
+        << " times as high as the prior: do not rely on the surface's fine detail. The default fusion does not use it.";
+  } else {
+    text << "The surface's fine detail is less sure by about that; a larger height.iterations seldom helps.";
+  }
   return text.str();
 }
 

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,23 @@ void remove_mean(Image<float>& height, const Context& context) {
   });
 }
 
+/// HeightMap::over_prior, over the pixels that have both heights.
+double spread_over(const Image<float>& prior, const Image<float>& height, const Context& context) {
+  constexpr std::size_t grain = 65536;
+  using Sums = Eigen::Array<double, 5, 1>;  // of 1, the height, its square, the prior, its square
+  const Sums zero = Sums::Zero();
+  const Sums sums = parallel_sum(context, height.count(), grain, zero, [&](std::size_t begin, std::size_t end) {
+    Sums part = Sums::Zero();
+    for (std::size_t i = begin; i < end; ++i) {
+      const double h = height[i], p = prior[i];
+      if (std::isfinite(h + p)) part += Sums(1, h, h * h, p, p * p);
+    }
+    return part;
+  });
+  const double of_height = sums[0] * sums[2] - sums[1] * sums[1], of_prior = sums[0] * sums[4] - sums[3] * sums[3];
+  return of_height > 0 && of_prior > 0 ? std::sqrt(of_height / of_prior) : 0;
+}
+
 /// One Gauss–Newton step. Before it the problem is linearized at `height`, where it has this `cost`; both are updated.
 bool step(HeightProblem& problem, Eigen::VectorXd& height, double& cost, HeightMap& map) {
   Eigen::VectorXd next = height;
@@ -65,10 +83,7 @@ HeightStatus maximize_likelihood(HeightProblem& problem, const HeightOptions& op
   if (problem.solve_linear(true, next) != SolveStatus::solved) return HeightStatus::singular;
   ++map.iterations;
   if (problem.linearize(next) < problem.linearize(height)) height = next;
-  if (const Eigen::VectorXd prior = problem.prior_heights();
-      prior.allFinite() && problem.linearize(prior) < problem.linearize(height)) {
-    height = prior;
-  }
+  if (problem.start_from_prior(next) && problem.linearize(next) < problem.linearize(height)) height = next;
   double cost = problem.linearize(height);
   for (int iteration = 1; iteration <= options.iterations; ++iteration) {
     context.progress("height", static_cast<double>(iteration) / (options.iterations + 1));
@@ -93,7 +108,6 @@ void solve_whole(const HeightData& data, const HeightOptions& options, const Hei
   const SolveStatus linear = problem.solve_linear(options.method == HeightMethod::literal, height);
   map.iterations = 1;
   map.solver_bytes = problem.solver_bytes();
-  map.solver_iterations = problem.solver_iterations();
   map.status = linear == SolveStatus::solved ? HeightStatus::converged : HeightStatus::singular;
   if (options.method == HeightMethod::likelihood && map.status == HeightStatus::converged)
     map.status = maximize_likelihood(problem, options, context, height, map);
@@ -135,11 +149,23 @@ HeightMap solve_tile(const HeightData& tile, const Image<float>& start, PixelRec
     map.iterations = 1;
     height = solution;
   }
+  map.unsolved_tiles = map.iterations == 0 ? 1 : 0;
   map.solver_bytes = problem.solver_bytes();
-  map.solver_iterations = problem.solver_iterations();
   map.residual_rms = problem.residual_rms(height);
   map.height = raster_of(height, problem.pixels());
   return map;
+}
+
+/// Share of the progress that precedes the tiles of the full resolution.
+constexpr double share_before_tiles = 0.3;
+
+/// The context for the work before the tiles.
+Context before_tiles(const Context& context) {
+  Context before = context;
+  before.on_progress = [&context](const Progress& part) {
+    context.progress(part.step, share_before_tiles * part.fraction, part.message);
+  };
+  return before;
 }
 
 /// One step in tiles from a start at the raster's resolution. tile(box) returns a tile's data. Sets map.height to the
@@ -152,12 +178,16 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
   // One thread per tile, so that the tile's vectors stay in that core's cache.
   Context inner = context;
   inner.threads = 1;
-  inner.on_progress = {};
+  std::mutex reporting;
+  std::size_t done = 0;
   parallel_for(context, results.size(), 1, [&](std::size_t k, std::size_t) {
     const PixelRect box = tiles.box(static_cast<int>(k));
     HeightData data = tile(box);
     hold_ring(data, start, box);
     results[k] = solve_tile(data, start, box, options, light, inner);
+    const std::lock_guard lock(reporting);
+    const double share = static_cast<double>(++done) / static_cast<double>(results.size());
+    context.progress("height", share_before_tiles + (1 - share_before_tiles) * share, "in tiles");
   });
 
   map.height = Image<float>(size, 1, 0.0F);
@@ -175,7 +205,7 @@ void solve_in_tiles(const std::function<HeightData(PixelRect)>& tile, const Imag
     changes += unknowns * result.last_update * result.last_update;
     pixels += unknowns;
     steps = std::max(steps, result.iterations);
-    map.solver_iterations += result.solver_iterations;
+    map.unsolved_tiles += result.unsolved_tiles;
     map.solver_bytes = std::max(map.solver_bytes, context.threads * result.solver_bytes);
   }
   map.iterations += steps;
@@ -197,7 +227,7 @@ void solve_by_levels(const HeightData& data, const HeightOptions& options, const
     solve_whole(data, options, light, context, map);
     return;
   }
-  solve_by_levels(coarsened(data, context), options, light, context, map);
+  solve_by_levels(coarsened(data, context), options, light, before_tiles(context), map);
   if (map.status == HeightStatus::singular) return;
   const Image<float> start = refined_height(map.height, data.object, context);
   solve_in_tiles([&](PixelRect box) { return part_of(data, box); }, start, options, light, context, map);
@@ -234,7 +264,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
   const PixelRect all{0, 0, state.size().width, state.size().height};
   // The data of a whole raster take much memory, whatever the object's size.
   if (!is_whole(state.size().area(), options)) {
-    solve_by_levels(coarsened(input, options, context), options, model, context, map);
+    solve_by_levels(coarsened(input, options, context), options, model, before_tiles(context), map);
     if (map.status == HeightStatus::singular) {
       map.height = Image<float>(state.size(), 1, no_value);
       return map;
@@ -251,6 +281,7 @@ HeightMap solve_height(const HeightInput& input, const HeightOptions& options, c
     if (map.status == HeightStatus::singular) return map;
   }
   if (options.boundary == HeightBoundary::natural) remove_mean(map.height, context);
+  if (input.prior_height != nullptr) map.over_prior = spread_over(*input.prior_height, map.height, context);
   context.progress("height", 1);
   return map;
 }

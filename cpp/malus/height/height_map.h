@@ -36,13 +36,14 @@ struct HeightMap {
   HeightStatus status = HeightStatus::not_run;
   double residual_rms = 0;  ///< of the weighted rows
   std::size_t unknowns = 0;
-  int iterations = 0;         ///< linear systems solved
-  double last_update = 0;     ///< RMS change of the slope in the last iteration
-  int solver_iterations = 0;  ///< conjugate gradient iterations of all systems; 0 if the systems were factorized
-  double solver_bytes = 0;    ///< memory of the factor, complete or incomplete
+  int iterations = 0;       ///< linear systems solved
+  double last_update = 0;   ///< RMS change of the slope in the last iteration
+  double over_prior = 0;    ///< standard deviation of the height over that of the prior; 0 = no prior
+  int unsolved_tiles = 0;   ///< parts of a large height that stay as at half the resolution, unsolved
+  double solver_bytes = 0;  ///< memory of the factor, complete or incomplete
 
   // The map is not listed.
-  MALUS_FIELDS(perspective, light, status, residual_rms, unknowns, iterations, last_update, solver_iterations,
+  MALUS_FIELDS(perspective, light, status, residual_rms, unknowns, iterations, last_update, over_prior, unsolved_tiles,
                solver_bytes)
 };
 

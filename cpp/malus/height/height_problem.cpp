@@ -12,8 +12,8 @@ constexpr double smallest_cosine = 0.05;
 /// Share of the largest diagonal entry that is added to every diagonal entry: fixes the height's free constant. In
 /// tiles with a `ring_height` the larger share holds all pixels to the start, for parts not connected with the ring.
 constexpr double relative_ridge = 1e-11, relative_hold = 1e-8;
-/// Weight of the heights in `ring_height`.
-constexpr double ring_weight = 1e4;
+/// Weight of heights that are held: those in `ring_height`, and the prior's while it is continued.
+constexpr double held_weight = 1e4;
 /// |A x − b| / |A start − b| at which conjugate gradients end a Gauss–Newton step.
 constexpr double step_reduction = 0.1;
 constexpr std::size_t grain = 4096;
@@ -36,10 +36,14 @@ HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& option
   for_each_pixel([&](int i) { frames_[static_cast<std::size_t>(i)] = frame_at(pixels_.u(i), pixels_.v(i)); });
 }
 
-Eigen::VectorXd HeightProblem::prior_heights() const {
-  Eigen::VectorXd values(pixels_.count());
-  for (int i = 0; i < pixels_.count(); ++i) values[i] = pixel(i).prior_height;
-  return values;
+bool HeightProblem::start_from_prior(Eigen::VectorXd& height) {
+  height.resize(pixels_.count());
+  for (int i = 0; i < pixels_.count(); ++i) height[i] = pixel(i).prior_height;
+  if (height.allFinite()) return true;
+  if (!height.array().isFinite().any()) return false;
+  for (double& value : height) value = std::isfinite(value) ? value : 0;  // a start for conjugate gradients
+  for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, false); });
+  return solve_assembled(0, height, true) == SolveStatus::solved;
 }
 
 SolveStatus HeightProblem::solve_linear(bool literal, Eigen::VectorXd& height) {
@@ -55,8 +59,8 @@ SolveStatus HeightProblem::solve_linearized(Eigen::VectorXd& height) {
   return solve_assembled(step_reduction, height);
 }
 
-SolveStatus HeightProblem::solve_assembled(double reduction, Eigen::VectorXd& height) {
-  assemble();
+SolveStatus HeightProblem::solve_assembled(double reduction, Eigen::VectorXd& height, bool holds_prior) {
+  assemble(holds_prior);
   const bool goes_on = !data_.ring_height.empty();
   const double ridge = (goes_on ? relative_hold : relative_ridge) * system_.largest_diagonal();
   for (int i = 0; goes_on && i < pixels_.count(); ++i) system_.add_right(i, ridge * height[i]);
@@ -224,7 +228,7 @@ double HeightProblem::likelihood_term(int i, const Eigen::VectorXd& height, Term
   return -square_limit() * std::log(shading_weight * stokes_weight);
 }
 
-void HeightProblem::assemble() {
+void HeightProblem::assemble(bool holds_prior) {
   system_.clear(context_);
   const double border_weight = options_.boundary_weight * options_.boundary_weight;
   system_.for_each_unknown(context_, [&](int i) {
@@ -233,7 +237,8 @@ void HeightProblem::assemble() {
     add_smoothness(i, pixels_.at(u - 1, v), pixels_.at(u + 1, v));
     add_smoothness(i, pixels_.at(u, v - 1), pixels_.at(u, v + 1));
     add_held(i, pixel(i).border_height, border_weight);
-    if (!data_.ring_height.empty()) add_held(i, data_.ring_height(u, v), ring_weight);
+    if (!data_.ring_height.empty()) add_held(i, data_.ring_height(u, v), held_weight);
+    if (holds_prior) add_held(i, pixel(i).prior_height, held_weight);
   });
 }
 

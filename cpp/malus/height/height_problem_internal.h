@@ -27,11 +27,10 @@ class HeightProblem {
   int unknowns() const { return pixels_.count(); }
   const PixelIndex& pixels() const { return pixels_; }
   double solver_bytes() const { return solver_.summary().bytes; }
-  /// Conjugate gradient iterations of the last solution; 0 if the system was factorized.
-  int solver_iterations() const { return solver_.summary().iterations; }
 
-  /// The prior's heights at the unknowns, NaN where the prior has none.
-  Eigen::VectorXd prior_heights() const;
+  /// Sets `height` to the prior's heights, continued by the linear system where the prior has none. False if the prior
+  /// has no height at all or cannot be continued.
+  bool start_from_prior(Eigen::VectorXd& height);
 
   /// Solves the linear system of Eq 9 and 11. If the data have a `ring_height`, `height` must contain a start.
   SolveStatus solve_linear(bool literal, Eigen::VectorXd& height);
@@ -113,8 +112,9 @@ class HeightProblem {
   double likelihood_square(int i, const Eigen::VectorXd& height) const;
   double linear_square(int i, const Eigen::VectorXd& height) const;
   double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const;
-  void assemble();
-  SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height);
+  /// Rows of the terms, smoothness and held heights; with `holds_prior` the prior's heights are held, too.
+  void assemble(bool holds_prior);
+  SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height, bool holds_prior = false);
   void add_term(const Term& term, const Difference& by_u, const Difference& by_v);
   void add_smoothness(int here, int before, int after);
   void add_held(int i, float target, double weight);

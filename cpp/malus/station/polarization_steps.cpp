@@ -1,6 +1,6 @@
 #include <algorithm>
 #include <cmath>
-#include <iomanip>
+#include <numbers>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -43,16 +43,18 @@ constexpr int polarization_cell_px = 8;
 constexpr double texture_over_polarization = 1;
 
 /// Finding for images that fit other angles or exposures, where the difference is too large for an error of reading.
-Finding caution_of_angles(const PolarizerFit& fit) {
+Finding caution_of_angles(const PolarizerFit& fit, const std::vector<double>& given_rad) {
   std::ostringstream values;
-  values << std::fixed << std::setprecision(0);
-  const auto list = [&](const auto& name, const std::vector<double>& of, double factor) {
+  const auto list = [&](const auto& name, std::size_t count, const auto& value) {
     values << name << " [";
-    for (std::size_t k = 0; k < of.size(); ++k) values << (k > 0 ? ", " : "") << of[k] * factor;
+    for (std::size_t k = 0; k < count; ++k) values << (k > 0 ? ", " : "") << std::lround(value(k));
     values << "]";
   };
-  list("angles", fit.angles_rad, to_degrees(1));
-  list("° (counter-clockwise) and exposures", fit.gains, 100);
+  // A polarizer turned by 180° is the same: each angle is given in the half turn about the one that was stated.
+  list("angles", fit.angles_rad.size(), [&](std::size_t k) {
+    return to_degrees(given_rad[k] + std::remainder(fit.angles_rad[k] - given_rad[k], std::numbers::pi));
+  });
+  list("° (counter-clockwise) and exposures", fit.gains.size(), [&](std::size_t k) { return 100 * fit.gains[k]; });
   return {"angles",
           Severity::caution,
           "the images fit other polarizer angles or exposures better than those given, but too far off for an error of "
@@ -81,7 +83,7 @@ std::optional<Finding> fit_polarizer_of(PolarizedStack& stack, const PolarizedSp
     measured.polarizer_fitted = free_angles || options.calibrate_angles == AngleCalibration::on ||
                                 (fit.improvement() > options.min_improvement && fit.is_plausible(options));
     if (!free_angles && fit.improvement() > options.min_improvement && !fit.is_plausible(options))
-      caution = caution_of_angles(fit);
+      caution = caution_of_angles(fit, stack.angles_rad);
   } else {
     fit = polarizer_as_given(stack.angles_rad, options);
   }

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "malus/core/digits_internal.h"
+#include "malus/height/height_internal.h"
 #include "malus/io/input_file_internal.h"
 #include "malus/io/sha256_internal.h"
 #include "malus/station/check_inputs_internal.h"
@@ -24,12 +26,22 @@ Error no_prior(const Station& station) {
                      "`height` can be run");
 }
 
+/// Warning for a height that was still changing at the end. More steps are not proposed: of 60 such heights of
+/// rendered stations 30 steps instead of 12 brought 26 to rest, improved none by more than 3 % and made 18 worse.
+std::string warning_of_moving_height(const HeightMap& height) {
+  std::string text = "the height was still changing at the end";
+  text += height.over_prior > most_over_prior
+              ? ", " + with_digits(height.over_prior, 2) + " times as high as the prior: do not rely on it"
+              : ": rely at most on its fine detail, not on its form";
+  if (height.over_prior > 0) text += "; the refined surface does not use it";
+  return text;
+}
+
 /// Warning if the height that was asked for could not be computed, or was still changing at the end.
 std::optional<std::string> warning_of_height(const Results& results) {
   const auto height = results.get<HeightMap>();
   if (!height || height->status == HeightStatus::converged) return std::nullopt;
-  if (height->status == HeightStatus::iteration_limit)
-    return "the height was still changing at the end; with a larger height.iterations it goes on";
+  if (height->status == HeightStatus::iteration_limit) return warning_of_moving_height(*height);
   return "there is no height from polarization, height/height.tif is empty: " + std::string(enum_name(height->status));
 }
 

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
@@ -280,6 +281,23 @@ TEST(Noise, is_estimated_from_a_flat_image) {
   EXPECT_FALSE(estimate_noise(image, Mask(image.size(), 1, 255)));
 }
 
+TEST(Capture, a_saturated_sample_of_a_color_mosaic_flags_the_pixels_interpolated_from_it) {
+  Image<float> mosaic({32, 24});
+  mosaic.fill(0.4F);
+  mosaic(16, 12) = 1;
+  CaptureInput input = input_of({mosaic}, {});
+  input.polarized.angles_deg.reset();
+  input.polarized.mosaic = std::array<double, 4>{90, 45, 135, 0};
+  input.polarized.mosaic_colors = "RGGB";
+  const auto flagged = [&](ColorChannel channel) {
+    input.polarized.channel = channel;
+    const Mask saturated = capture_stack(input, {}, two_threads()).saturated;
+    return std::ranges::count(saturated, std::uint8_t{255});
+  };
+  EXPECT_EQ(flagged(ColorChannel::mean), 9 * 9);
+  EXPECT_EQ(flagged(ColorChannel::green), 11 * 11) << "samples of one color are interpolated first";
+}
+
 TEST(Noise, of_a_color_mosaic_does_not_include_its_colors) {
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
@@ -324,6 +342,21 @@ TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {
   for (const double encoded : {0.2, 0.5, 0.8, 1.0}) {
     const double step = curve.slope(encoded) / 255;
     EXPECT_NEAR(noise.variance(curve.linearize(encoded)) / (step * step / 12), 1, 0.65) << encoded;
+  }
+}
+
+TEST(Noise, of_a_sum_of_channels_has_the_quantization_of_the_sum) {
+  PolarizedSpec spec;
+  spec.full_well_e = 1e9;
+  spec.read_noise_e = 0;
+  const std::array<double, 3> mean{1.0 / 3, 1.0 / 3, 1.0 / 3};
+  const LinearImage image{Image<float>(stone_size), Mask(stone_size)};
+  for (const char* const response : {"linear", "srgb"}) {
+    const ResponseCurve curve = response_curve(response, "response");
+    const auto variance = [&](const std::optional<std::array<double, 3>>& weights) {
+      return noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, weights, image).variance(0.5);
+    };
+    EXPECT_NEAR(variance(mean) / variance(std::nullopt), 1.0 / 3, 1e-3) << response;
   }
 }
 

@@ -223,6 +223,25 @@ TEST(Response, bad_channels_and_pixels_are_input_errors) {
       "(1, 0)");
 }
 
+TEST(Linearize, numbers_that_are_not_finite_are_refused_behind_a_table_and_in_color) {
+  constexpr auto nan = std::numeric_limits<float>::quiet_NaN();
+  PolarizedSpec spec;
+  spec.response = table_file("0 0\n100 10\n200 40\n").string();
+  expect_error(
+      ErrorCode::input,
+      [&] {
+        linear_of(raw_8bit(1, {1, nan}), spec);
+      },
+      "pixel (1, 0) is not a finite number");
+  const ResponseCurve curve = response_curve(spec.response, "response");
+  EXPECT_TRUE(std::isnan(curve.linearize(nan)));
+  const RawImage color = raw_8bit(3, {1, 2, 3, 4, nan, 6});
+  expect_error(
+      ErrorCode::input,
+      [&] { linearize_color(color, curve, levels_of(color, spec, curve, 0.995, "raw.png"), "raw.png", Context{}); },
+      "pixel (1, 0) is not a finite number");
+}
+
 TEST(Linearize, a_channel_that_is_not_used_must_be_finite_too) {
   RawImage raw = raw_8bit(3, {1, 2, 3, 4, 5, 6});
   raw.bits = 32;

@@ -135,6 +135,10 @@ TEST(GridFusion, GapsInTheHeightKeepThePriorAndGapsInThePriorStayEmpty) {
   EXPECT_TRUE(std::isnan(fused.normals(3, 20, 2)));
   ASSERT_EQ(fused.warnings.size(), 1U);
   EXPECT_NE(fused.warnings[0].find("its slopes by 0.7° in the last of 12 rounds"), std::string::npos);
+  EXPECT_NE(fused.warnings[0].find("less sure by about that"), std::string::npos);
+  height.over_prior = 14.2;
+  const std::string too_high = fuse_grid(height, prior, {}, {}).warnings.at(0);
+  EXPECT_NE(too_high.find("14 times as high as the prior"), std::string::npos) << too_high;
 }
 
 TEST(GridFusion, PartsThatNothingConnectsKeepTheirPlacesInThePrior) {

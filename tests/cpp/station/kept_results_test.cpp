@@ -166,8 +166,12 @@ TEST(KeptResults, SurfacesAreReadBackUnchanged) {
   height.light = {0.1, 0.2, 0.3, nan};
   height.status = HeightStatus::converged;
   height.unknowns = 15;
+  height.over_prior = 14.5;
+  height.unsolved_tiles = 2;
   height.solver_bytes = 1e9;
   EXPECT_EQ(expect_kept(height).light.head<3>(), height.light.head<3>());
+  EXPECT_EQ(expect_kept(height).over_prior, 14.5);
+  EXPECT_EQ(expect_kept(height).unsolved_tiles, 2);
   EXPECT_EQ(expect_kept(height).solver_bytes, 1e9);
   const FusedSurface surface = expect_kept(FusedSurface{raster(500),
                                                         raster(0, 3),
