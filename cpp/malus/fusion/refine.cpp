@@ -492,7 +492,7 @@ class Refiner {
     // If there is a light source that casts shadows and highlights, regions that fit badly are such.
     constexpr double telling_gain = 0.15, regional_sigma_px = 2;
     const bool weighs_regions = regional && options_.regional_weights && lobe_gain_ > telling_gain;
-    return {options_, widening, weighs_regions ? regional_sigma_px : 0};
+    return {options_, widening, weighs_regions ? regional_sigma_px : 0, binning_};
   }
 
   /// Samples by which a metal is compared with other materials.
