@@ -45,7 +45,7 @@ struct RefineIteration {
   double cost_before = 0, cost_after = 0;      ///< of the solve, summed over tiles
   double stokes_cost = 0;                      ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
   double median_residual = 0;                  ///< of the Stokes vectors, in standard deviations, before the solve
-  double change_gsd = 0;                       ///< RMS change of depth
+  double change_gsd = 0;                       ///< RMS change of depth, in the GSD of this resolution
   int accepted_steps = 0, rejected_steps = 0;  ///< of the solver, summed over tiles
   int failed_tiles = 0;  ///< whose equations could not be solved: their surface is that of the round before
   int tiles = 0;         ///< that hold a part of the object, out of RefineReport::tiles

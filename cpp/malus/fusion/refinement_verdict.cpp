@@ -19,9 +19,14 @@ void warn(ConfidenceLevel most, const std::string& text, FusedSurface& surface) 
   surface.confidence.limit(most, text);
 }
 
+/// RMS change of depth in a round, in the station's GSD.
+double change_of(const RefineIteration& round) {
+  return round.change_gsd * round.binning;
+}
+
 bool is_settled(const RefineIteration& round) {
   constexpr double settled_gsd = 1;
-  return round.change_gsd <= settled_gsd;
+  return change_of(round) <= settled_gsd;
 }
 
 /// Whether the solver tried steps in a round, and none of them gave a better surface.
@@ -43,7 +48,7 @@ void judge_solver(const RefineReport& report, FusedSurface& surface) {
     problem = "The refinement found no better surface than the prior.";
   } else if (!is_settled(*moved)) {
     problem = "The refined surface was still changing when the refinement ended, by " +
-              with_digits(moved->change_gsd, 2) + " GSD in the last round" +
+              with_digits(change_of(*moved), 2) + " GSD in the last round" +
               (is_stuck(last) ? " that found a better one." : ".");
   }
   surface.status = problem.empty() ? FusionStatus::converged : FusionStatus::not_converged;

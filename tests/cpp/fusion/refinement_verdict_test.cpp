@@ -88,6 +88,8 @@ TEST(Verdict, ASurfaceThatMovedIsBetterThanThePriorWhateverTheLastRoundFound) {
   EXPECT_TRUE(
       mentions(surface.warnings, "still changing when the refinement ended, by 1.5 GSD in the last round that"));
   EXPECT_FALSE(mentions(surface.warnings, "than the prior"));
+  report.iterations[1].binning = 2;
+  EXPECT_TRUE(mentions(judged(report).warnings, "by 3 GSD")) << "the station's GSD";
   surface = judged(never_moved());
   EXPECT_EQ(surface.status, FusionStatus::not_converged);
   EXPECT_TRUE(mentions(surface.warnings, "no better surface than the prior")) << "the search changed another surface";
