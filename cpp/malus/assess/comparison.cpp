@@ -110,13 +110,14 @@ Vector7 solve_observable(const Matrix7& normal_matrix, const Vector7& right_side
   return step;
 }
 
+constexpr std::size_t fewest_to_align = 10;
+
 PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference, double max_distance,
                      Alignment alignment, const Context& context) {
   std::vector<std::optional<Foot>> feet(points.size());
   const int unknowns = alignment == Alignment::similarity ? 7 : 6;
   PointAlignment icp;
   while (!icp.converged && icp.iterations < 60) {
-    ++icp.iterations;
     parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) {
         feet[i] = reference.foot(icp.reference_from_surface.apply(points[i]), max_distance);
@@ -130,7 +131,9 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
       distances.push_back(foot->signed_distance);
       box.extend(foot->point);
     }
-    if (distances.size() < 10) break;
+    icp.too_few_near = distances.size() < fewest_to_align;
+    if (icp.too_few_near) break;
+    ++icp.iterations;
     const Eigen::Vector3d centre = box.center();
     const double extent = 0.5 * box.diagonal().norm();
     const double limit = std::max(4.685 * robust_sigma(distances), 1e-12 * extent);
@@ -152,7 +155,7 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
     // Far from the origin the motion itself is rounded by more than that.
     const double rounding = 8 * std::numeric_limits<double>::epsilon() * centre.norm() / extent;
     icp.converged = step.norm() < std::max(1e-8, rounding);
-    context.progress("assess", 0, "aligning with the reference, step " + std::to_string(icp.iterations));
+    context.progress("assess", 0.6, "aligning with the reference, step " + std::to_string(icp.iterations));
   }
   return icp;
 }
@@ -168,11 +171,13 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
   ReferenceComparison result;
   result.alignment = options.alignment;
   result.status = ComparisonStatus::done;
+  bool too_few_near = false;
   if (options.alignment != Alignment::none) {
     const PointAlignment icp = align(spread_points(surface), target, max_distance, options.alignment, context);
     result.reference_from_surface = icp.reference_from_surface;
     result.alignment_iterations = icp.iterations;
-    if (!icp.converged) {
+    too_few_near = icp.too_few_near;
+    if (!icp.converged && !too_few_near) {
       result.status = ComparisonStatus::not_aligned;
       context.log(LogLevel::warning, "the alignment with the reference still moves after " +
                                          std::to_string(icp.iterations) +
@@ -205,6 +210,12 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
     context.log(LogLevel::warning,
                 "no pixel is near the reference (assess.max_distance_gsd), expected in the station's unit and frame" +
                     own_frame);
+  } else if (too_few_near) {
+    result.status = ComparisonStatus::too_few_near;
+    context.log(LogLevel::warning,
+                "too few pixels are near the reference (assess.max_distance_gsd) to align the "
+                "surface with it, expected at least " +
+                    std::to_string(fewest_to_align) + own_frame);
   } else if (options.alignment == Alignment::none && is_mostly_beyond(distances_gsd, beside_gsd)) {
     context.log(LogLevel::warning, "half of the surface lies farther than " + std::to_string(beside_gsd) +
                                        " GSD from the reference" + own_frame);

@@ -28,10 +28,11 @@ struct SimilarityTransform {
   MALUS_FIELDS(scale, rotation, translation)
 };
 
-enum class ComparisonStatus { not_run, done, nothing_near, not_aligned };
+enum class ComparisonStatus { not_run, done, nothing_near, not_aligned, too_few_near };
 constexpr auto names_of(ComparisonStatus) {
-  return std::to_array<std::string_view>(
-      {"not run", "done", "no pixel near the reference", "the alignment did not come to rest"});
+  return std::to_array<std::string_view>({"not run", "done", "no pixel near the reference",
+                                          "the alignment did not come to rest",
+                                          "too few pixels near the reference to align with it"});
 }
 
 /// Result of point-to-plane ICP.
@@ -39,6 +40,7 @@ struct PointAlignment {
   SimilarityTransform reference_from_surface;
   int iterations = 0;
   bool converged = false;
+  bool too_few_near = false;  ///< it ended because fewer than 10 points were near the reference
 
   MALUS_FIELDS(reference_from_surface, iterations, converged)
 };
@@ -62,9 +64,9 @@ struct ReferenceComparison {
 /// Compares every pixel's point with a reference in the world frame: a mesh (outward = counter-clockwise), or a cloud
 /// if it has no triangles (see ReferenceSurface). With an alignment, point-to-plane ICP (Chen and Medioni 1992; Tukey
 /// weights, up to 20 000 evenly spread pixels, at most 60 steps) moves the surface first; motions that the shapes leave
-/// undetermined, such as sliding along a plane, are not made. Without an alignment nothing is moved, and only a
-/// similarity changes the scale. Pixels beside the reference, beyond its border, have no distance. Throws a data error
-/// for a reference that cannot be used.
+/// undetermined, such as sliding along a plane, are not made, and none with fewer than 10 of these pixels near the
+/// reference. Without an alignment nothing is moved, and only a similarity changes the scale. Pixels beside the
+/// reference, beyond its border, have no distance. Throws a data error for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
 

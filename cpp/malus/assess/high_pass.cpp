@@ -30,11 +30,14 @@ Image<float> high_pass(Image<float> values, double sigma_px, const Context& cont
   const OpenCvThreads one_thread(1);  // OpenCV is called from threads of our own
   constexpr std::size_t strip_rows = 256;
   const int side = 2 * static_cast<int>(4 * sigma_px + 0.5) + 1;
+  // A profile is a single row, which mirrored is the same in every row; OpenCV would hold as many rows as the kernel.
+  const int rows_of_kernel = values.height() == 1 ? 1 : side;
   parallel_for(context, static_cast<std::size_t>(values.height()), strip_rows, [&](std::size_t begin, std::size_t end) {
     const int first = static_cast<int>(begin), last = static_cast<int>(end);
     cv::Mat sums;
     // Around the strip OpenCV uses the raster's existing rows, and mirrors only at the raster's border.
-    cv::GaussianBlur(as_mat(known).rowRange(first, last), sums, {side, side}, sigma_px, sigma_px, cv::BORDER_REFLECT);
+    cv::GaussianBlur(as_mat(known).rowRange(first, last), sums, {side, rows_of_kernel}, sigma_px, sigma_px,
+                     cv::BORDER_REFLECT);
     for (int v = first; v < last; ++v) {
       const auto* sum = sums.ptr<cv::Vec2f>(v - first);
       for (int u = 0; u < values.width(); ++u) values(u, v) -= sum[u][0] / sum[u][1];

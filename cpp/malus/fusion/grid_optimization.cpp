@@ -92,6 +92,18 @@ class CellMean final : public ceres::CostFunction {
 /// How the solution of a tile ended. An unsolved tile keeps the surface that it started from.
 enum class TileOutcome { converged, still_changing, unsolved };
 
+/// Ends a solution after the step in which the run is canceled.
+class StopIfCancelled final : public ceres::IterationCallback {
+ public:
+  explicit StopIfCancelled(const Context& context) : context_(context) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
+    return context_.cancelled() ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const Context& context_;
+};
+
 /// One tile of the problem.
 class Tile {
  public:
@@ -108,7 +120,7 @@ class Tile {
     for_each_pixel(box, [&](int u, int v) { *at(u, v) = heights(u, v); });
   }
 
-  TileOutcome solve() {
+  TileOutcome solve(const Context& context) {
     for_each_pixel(box_, [&](int u, int v) { add_equations(u, v); });
     if (options_.prior_weight > 0) add_cells();
     if (problem_.NumResidualBlocks() == 0) return TileOutcome::converged;
@@ -120,9 +132,12 @@ class Tile {
     how.function_tolerance = 1e-4;
     how.num_threads = 1;
     how.logging_type = ceres::SILENT;
+    StopIfCancelled stop(context);
+    how.callbacks.push_back(&stop);
     ceres::Solver::Summary summary;
     const SequentialBlas sequential;  // tiles are the unit of parallelism
     ceres::Solve(how, &problem_, &summary);
+    context.check_cancel();
     if (!has_solution(summary, "optimize.enabled")) return TileOutcome::unsolved;
     return summary.termination_type == ceres::CONVERGENCE ? TileOutcome::converged : TileOutcome::still_changing;
   }
@@ -256,7 +271,7 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
       group[i].reset();
       if (tile >= tiles) return;
       group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, tiled.box(tile));
-      outcomes[i] = group[i]->solve();
+      outcomes[i] = group[i]->solve(context);
     });
     for (std::size_t i = 0; i < group.size(); ++i) {
       if (!group[i]) continue;

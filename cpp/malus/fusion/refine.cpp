@@ -367,8 +367,7 @@ class Refiner {
           report_.trust.empty()
               ? Image<std::uint8_t>(part, 1, 255)
               : cropped(report_.trust, {0, strip.first_row, part.width, strip.first_row + part.height});
-      const Image<float> sigma =
-          surface_sigma(strip.field, trust, errors, context_);
+      const Image<float> sigma = surface_sigma(strip.field, trust, errors, context_);
       const Image<float> mirrored = mirrored_light(strip.field, context_);
       parallel_rows(context_, std::min(tiles.rows.end, size.height) - tiles.rows.begin, [&](int row) {
         const int v = tiles.rows.begin + row, strip_v = v - strip.first_row;
@@ -389,10 +388,8 @@ class Refiner {
     image_.x = {};  // frees as much memory as the normals take
     report_.trust = cropped(report_.trust, {0, 0, size.width, size.height});
     surface.normals = normals_from_depth(surface.depth, surface.camera, context_);
-    const FitQuality quality = summary.quality();
     report_.tiles = static_cast<int>(tiles_.size());
-    report_.stokes_cost = quality.robust_cost;
-    report_.median_residual = quality.median_residual;
+    report_.median_residual = summary.quality().median_residual;
     report_.linear_solver_share = total_.linear_solver_seconds / std::max(total_.solver_seconds, 1e-9);
     return surface;
   }
@@ -492,7 +489,7 @@ class Refiner {
     // If there is a light source that casts shadows and highlights, regions that fit badly are such.
     constexpr double telling_gain = 0.15, regional_sigma_px = 2;
     const bool weighs_regions = regional && options_.regional_weights && lobe_gain_ > telling_gain;
-    return {options_, widening, weighs_regions ? regional_sigma_px : 0};
+    return {options_, widening, weighs_regions ? regional_sigma_px : 0, binning_};
   }
 
   /// Samples by which a metal is compared with other materials.
@@ -613,8 +610,8 @@ class Refiner {
     total_ += statistics;
     const double change = blended.replace(image_.x, image_.object, context_);
     report_.iterations.push_back({binning_, searching_, statistics.cost_before, statistics.cost_after,
-                                  quality.robust_cost, quality.median_residual, change, statistics.rejected_steps,
-                                  statistics.failed_tiles, statistics.tiles});
+                                  quality.robust_cost, quality.median_residual, change, statistics.accepted_steps,
+                                  statistics.rejected_steps, statistics.failed_tiles, statistics.tiles});
   }
 
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
@@ -647,7 +644,7 @@ class Refiner {
   void settle() {
     constexpr double settled_gsd = 0.5;
     if (binning_ > 1) return;
-    for (int i = 0; i < options_.more_iterations && report_.iterations.back().change_gsd > settled_gsd; ++i)
+    for (int i = 0; i < options_.more_iterations && last_round(report_).change_gsd > settled_gsd; ++i)
       round(1, true, true);
   }
 

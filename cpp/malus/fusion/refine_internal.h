@@ -42,11 +42,11 @@ struct StatedMetalFit {
 struct RefineIteration {
   int binning = 1;      ///< 2 = at half the resolution, and so on
   bool search = false;  ///< part of the search for a second solution, not of the course to the result
-  double cost_before = 0, cost_after = 0;  ///< of the solve, summed over tiles
-  double stokes_cost = 0;                  ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
-  double median_residual = 0;              ///< of the Stokes vectors, in standard deviations, before the solve
-  double change_gsd = 0;                   ///< RMS change of depth
-  int rejected_steps = 0;
+  double cost_before = 0, cost_after = 0;      ///< of the solve, summed over tiles
+  double stokes_cost = 0;                      ///< mean of ln(1 + r² / 4) over usable pixels, before the solve
+  double median_residual = 0;                  ///< of the Stokes vectors, in standard deviations, before the solve
+  double change_gsd = 0;                       ///< RMS change of depth, in the GSD of this resolution
+  int accepted_steps = 0, rejected_steps = 0;  ///< of the solver, summed over tiles
   int failed_tiles = 0;  ///< whose equations could not be solved: their surface is that of the round before
   int tiles = 0;         ///< that hold a part of the object, out of RefineReport::tiles
 
@@ -84,8 +84,9 @@ struct RefineReport {
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
   /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
-  double stokes_cost = 0;                       ///< mean of ln(1 + r² / 4) over usable pixels, of the result
-  double median_residual = 0;                   ///< of the result's Stokes vectors, in standard deviations
+  /// Of the result's Stokes vectors, in standard deviations, over the usable pixels that are refined by half or more;
+  /// 0 if there are none.
+  double median_residual = 0;
   int regions_compared = 0, regions_taken = 0;  ///< by the search for a better minimum
   int tiles = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres

@@ -19,23 +19,37 @@ void warn(ConfidenceLevel most, const std::string& text, FusedSurface& surface) 
   surface.confidence.limit(most, text);
 }
 
-const RefineIteration& last_round(const RefineReport& report) {
-  return *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
+/// RMS change of depth in a round, in the station's GSD.
+double change_of(const RefineIteration& round) {
+  return round.change_gsd * round.binning;
+}
+
+bool is_settled(const RefineIteration& round) {
+  constexpr double settled_gsd = 1;
+  return change_of(round) <= settled_gsd;
+}
+
+/// Whether the solver tried steps in a round, and none of them gave a better surface.
+bool is_stuck(const RefineIteration& round) {
+  return round.accepted_steps == 0 && round.rejected_steps > 0;
 }
 
 /// The solver's problems do not limit the confidence if the surface is the prior's.
 void judge_solver(const RefineReport& report, FusedSurface& surface) {
-  constexpr int many_rejections = 4;  // per tile: no step was accepted
   const RefineIteration& last = last_round(report);
+  // A round without a better surface than the one before is no movement to judge by.
+  const auto moved = std::ranges::find_if(report.iterations.rbegin(), report.iterations.rend(),
+                                          [](const auto& round) { return !round.search && !is_stuck(round); });
   std::string problem;
-  if (last.rejected_steps >= many_rejections * last.tiles) {
-    problem = "The refinement found no better surface than the prior in most of the image.";
-  } else if (last.failed_tiles > 0) {
+  if (last.failed_tiles > 0) {
     problem = "The refinement could not solve its equations in " + std::to_string(last.failed_tiles) + " of " +
               std::to_string(last.tiles) + " parts of the image: the surface there is that of an earlier round.";
-  } else if (!has_settled(report)) {
+  } else if (moved == report.iterations.rend()) {
+    problem = "The refinement found no better surface than the prior.";
+  } else if (!is_settled(*moved)) {
     problem = "The refined surface was still changing when the refinement ended, by " +
-              with_digits(last.change_gsd, 2) + " GSD in the last round.";
+              with_digits(change_of(*moved), 2) + " GSD in the last round" +
+              (is_stuck(last) ? " that found a better one." : ".");
   }
   surface.status = problem.empty() ? FusionStatus::converged : FusionStatus::not_converged;
   if (problem.empty()) return;
@@ -158,6 +172,11 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
                      "Nearly all of the polarization that the reflection model explains at the prior's slopes is that "
                      "of a plane: it says little of the relief on it. Fine detail is likely, not certain.");
   }
+}
+
+/// Says what is assumed of the light where the surface is not the prior's, with or without evidence.
+void judge_light(const RefineReport& report, FusedSurface& surface) {
+  if (is_the_prior(report)) return;
   if (report.metal_index != 0.0) {
     const std::string index =
         with_digits(report.metal_index.real(), 2) + " + " + with_digits(report.metal_index.imag(), 2) + " i";
@@ -169,7 +188,7 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
     surface.warnings.push_back(why + " Where the color changes, by tarnish or gilding, slopes may be wrong.");
   }
   if (report.reflection.mirrored) {
-    confidence.limit(
+    surface.confidence.limit(
         ConfidenceLevel::partial,
         "The light is known only from a map of the surroundings that was fitted to this object itself: the "
         "detail is less certain than under an even sky or on a black, mirroring object.");
@@ -178,13 +197,17 @@ void judge_evidence(const RefineReport& report, double explained_least, FusedSur
 
 }  // namespace
 
+const RefineIteration& last_round(const RefineReport& report) {
+  return *std::ranges::find(report.iterations.rbegin(), report.iterations.rend(), false, &RefineIteration::search);
+}
+
 bool has_settled(const RefineReport& report) {
-  constexpr double settled_gsd = 1;
-  return last_round(report).change_gsd <= settled_gsd;
+  return is_settled(last_round(report));
 }
 
 void judge(const RefineReport& report, double explained_least, FusedSurface& surface) {
   judge_evidence(report, explained_least, surface);
+  judge_light(report, surface);
   judge_solver(report, surface);
   judge_model(report, surface);
 }

@@ -4,6 +4,9 @@
 
 namespace malus {
 
+/// The last round of the course to the result: those of the search change another surface. There must be one.
+const RefineIteration& last_round(const RefineReport& report);
+
 /// Whether the last round hardly moved the surface. A surface that still moves is not used as a result.
 bool has_settled(const RefineReport& report);
 

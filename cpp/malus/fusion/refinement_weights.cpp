@@ -88,10 +88,11 @@ void weigh_regions(RefinementField& field, Image<float> squared, double sigma_px
 double block_weight(double prior_sigma_gsd, const WeightOptions& options) {
   constexpr double gain_of_mean = 2.4;
   // Above this sigma the prior is an extrapolation, as in the holes of a swept surface, and its weight falls with
-  // sigma.
+  // sigma. In the station's GSD.
   constexpr double unknown_gsd = 2;
   const double most = std::max(options.prior_weight, options.good_prior_weight);
-  const double least = options.prior_weight * std::min(1.0, unknown_gsd / std::max(prior_sigma_gsd, 1e-6));
+  const double least =
+      options.prior_weight * std::min(1.0, unknown_gsd / options.binning / std::max(prior_sigma_gsd, 1e-6));
   return std::clamp(gain_of_mean / std::max(prior_sigma_gsd, 1e-6), least, most);
 }
 

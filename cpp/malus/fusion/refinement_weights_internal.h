@@ -10,11 +10,13 @@ namespace malus {
 struct WeightOptions : RefineOptions {
   double specular_widening = 1;  ///< factor on robust_scale in specular regions
   double regional_sigma_px = 0;  ///< 0 = no regional down-weighting
+  int binning = 1;               ///< pixels of the station's image along a side of one pixel of the field
 };
 
 /// Summary of the Stokes residuals at the current surface.
 struct FitQuality {
-  double median_residual = 0;  ///< of |(s1, s2) − model| / σ / √2 over usable pixels; about 0.8 when only noise is left
+  double median_residual =
+      0;  ///< of |(s1, s2) − model| / σ / √2 over the added pixels; about 0.8 when only noise is left
   double robust_cost = 0;  ///< mean of ln(1 + r² / 4)
 };
 

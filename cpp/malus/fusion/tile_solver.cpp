@@ -80,6 +80,7 @@ class TileProblem {
     ceres::Solve(solver, problem_.get(), &summary);
     statistics.cost_before = summary.initial_cost;
     statistics.cost_after = summary.initial_cost - stop.cost_change();
+    statistics.accepted_steps = stop.accepted();
     statistics.rejected_steps = summary.num_unsuccessful_steps;
     statistics.failed_tiles =
         has_solution(summary, "refinement of a tile of " + std::to_string(unknowns_) + " unknowns (refine.tile_px)")
@@ -106,15 +107,16 @@ class TileProblem {
     ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
       if (context_.cancelled()) return ceres::SOLVER_ABORT;
       if (iteration.iteration > 0 && iteration.step_is_successful) {
-        --steps_;
+        ++accepted_;
         cost_change_ += iteration.cost_change;
       }
-      return steps_ <= 0 ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+      return accepted_ >= steps_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
     }
+    int accepted() const { return accepted_; }
     double cost_change() const { return cost_change_; }
 
    private:
-    int steps_;
+    int steps_, accepted_ = 0;
     double cost_change_ = 0;
     const Context& context_;
   };
@@ -331,6 +333,7 @@ std::vector<TileStrip> divide_into_strips(const std::vector<Tile>& tiles, Size i
 SolveStatistics& SolveStatistics::operator+=(const SolveStatistics& other) {
   cost_before += other.cost_before;
   cost_after += other.cost_after;
+  accepted_steps += other.accepted_steps;
   rejected_steps += other.rejected_steps;
   failed_tiles += other.failed_tiles;
   tiles += other.tiles;

@@ -37,7 +37,7 @@ struct TileOptions {
 /// Statistics of Ceres, summed over tiles.
 struct SolveStatistics {
   double cost_before = 0, cost_after = 0;  ///< over the tiles' outer rectangles
-  int rejected_steps = 0;
+  int accepted_steps = 0, rejected_steps = 0;
   int failed_tiles = 0;  ///< whose equations could not be solved: they keep their start
   int tiles = 0;         ///< that hold a part of the object
   double solver_seconds = 0,

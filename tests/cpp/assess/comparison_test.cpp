@@ -196,6 +196,32 @@ TEST(Comparison, FarPixelsAreLeftOutAndReported) {
   EXPECT_EQ(nothing.status, ComparisonStatus::nothing_near);
   EXPECT_NE(said.find("no pixel is near the reference"), std::string::npos) << said;
   EXPECT_NE(said.find("--register"), std::string::npos) << said;
+  said.clear();
+  options.alignment = Alignment::rigid;
+  const ReferenceComparison aligned = compare_with_reference(wavy(5), mesh_of(reference_view), gsd, options, context);
+  EXPECT_EQ(aligned.status, ComparisonStatus::nothing_near);
+  EXPECT_EQ(aligned.alignment_iterations, 0);
+  EXPECT_EQ(said.find("alignment"), std::string::npos) << said;
+}
+
+TEST(Comparison, SaysThatTooFewPixelsAreNearToAlign) {
+  const std::vector<Eigen::Vector3d> all = mesh_of(wavy(0)).vertices.points;
+  TriangleMesh of_nine_pixels;
+  for (const std::size_t v : {60, 62}) {
+    for (const std::size_t u : {40, 42}) of_nine_pixels.vertices.points.push_back(all.at(160 * v + u));
+  }
+  of_nine_pixels.triangles = {{0, 1, 2}, {2, 1, 3}};
+  std::string said;
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& message) { said += message; };
+  AssessOptions options;
+  options.alignment = Alignment::rigid;
+  options.max_distance_gsd = 2;  // farther away the waves rise above the small plane
+  const ReferenceComparison result = compare_with_reference(wavy(0), of_nine_pixels, gsd, options, context);
+  EXPECT_EQ(result.status, ComparisonStatus::too_few_near);
+  EXPECT_EQ(result.alignment_iterations, 0);
+  EXPECT_NE(said.find("too few pixels are near the reference"), std::string::npos) << said;
+  EXPECT_EQ(said.find("still moves"), std::string::npos) << said;
 }
 
 TEST(Comparison, PixelsBesideAReferenceOfAPartAreNotCompared) {

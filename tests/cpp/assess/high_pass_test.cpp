@@ -63,6 +63,14 @@ double direct_detail(const Image<float>& image, double sigma, int u, int v) {
   return image(u, v) - sum / weights;
 }
 
+TEST(HighPass, OfAProfileFollowsItsDefinition) {
+  Image<float> line({70, 1});
+  for (int u = 0; u < 70; ++u) line(u, 0) = static_cast<float>(800 + std::sin(0.3 * u) + 0.1 * u);
+  for (int u = 20; u < 25; ++u) line(u, 0) = none;
+  const Image<float> detail = high_pass(line, 4, {});
+  for (const int u : {0, 5, 19, 25, 50, 69}) EXPECT_NEAR(detail(u, 0), direct_detail(line, 4, u, 0), 1e-4);
+}
+
 TEST(HighPass, FollowsItsDefinitionAcrossTilesBordersAndHoles) {
   Image<float> image({1100, 530});
   for (int v = 0; v < 530; ++v) {

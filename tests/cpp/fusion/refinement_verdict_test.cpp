@@ -15,12 +15,28 @@ constexpr double explained_least = 0.35;
 RefineReport good() {
   RefineReport report;
   report.tiles = 20;
-  report.iterations = {
-      {.change_gsd = 3, .tiles = 2}, {.change_gsd = 0.2, .tiles = 2}, {.search = true, .change_gsd = 9, .tiles = 2}};
+  report.iterations = {{.change_gsd = 3, .accepted_steps = 2, .tiles = 2},
+                       {.change_gsd = 0.2, .accepted_steps = 2, .tiles = 2},
+                       {.search = true, .change_gsd = 9, .accepted_steps = 2, .tiles = 2}};
   report.median_residual = 0.9;
   report.trusted_share = 0.97;
   report.explained_share = 0.85;
   report.explained_beyond_plane = 0.7;
+  return report;
+}
+
+/// A round in which the solver tried steps without success.
+void stick(RefineIteration& round) {
+  round.accepted_steps = 0;
+  round.rejected_steps = 8;
+  round.change_gsd = 0;
+}
+
+/// The same in all rounds but those of the search.
+RefineReport never_moved() {
+  RefineReport report = good();
+  stick(report.iterations[0]);
+  stick(report.iterations[1]);
   return report;
 }
 
@@ -43,8 +59,7 @@ TEST(Verdict, AGoodSurfaceHasHighConfidence) {
 }
 
 TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
-  RefineReport report = good();
-  report.iterations[1].rejected_steps = 100;
+  RefineReport report = never_moved();
   report.metal = true;
   report.median_residual = 4.123456789;
   const FusedSurface surface = judged(report);
@@ -57,14 +72,38 @@ TEST(Verdict, EveryReasonIsKeptAndTheWorstComesFirst) {
   EXPECT_EQ(surface.warnings.size(), 3u);
 }
 
-TEST(Verdict, TilesWithoutTheObjectRejectNothing) {
+TEST(Verdict, ASurfaceThatMovedIsBetterThanThePriorWhateverTheLastRoundFound) {
   RefineReport report = good();
-  report.iterations[1].rejected_steps = 7;
-  EXPECT_EQ(judged(report).status, FusionStatus::converged);
-  report.iterations[1].rejected_steps = 8;  // no step was accepted in either of the two tiles with the object
-  const FusedSurface surface = judged(report);
+  report.iterations[1].rejected_steps = 100;
+  EXPECT_EQ(judged(report).status, FusionStatus::converged) << "some steps were accepted";
+  report.iterations.insert(report.iterations.begin() + 2, {.tiles = 2});
+  stick(report.iterations[2]);
+  FusedSurface surface = judged(report);
+  EXPECT_EQ(surface.status, FusionStatus::converged) << "the rounds before had settled";
+  EXPECT_TRUE(surface.warnings.empty());
+  report.iterations[1].change_gsd = 1.5;
+  surface = judged(report);
   EXPECT_EQ(surface.status, FusionStatus::not_converged);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
+  EXPECT_TRUE(
+      mentions(surface.warnings, "still changing when the refinement ended, by 1.5 GSD in the last round that"));
+  EXPECT_FALSE(mentions(surface.warnings, "than the prior"));
+  report.iterations[1].binning = 2;
+  EXPECT_TRUE(mentions(judged(report).warnings, "by 3 GSD")) << "the station's GSD";
+  surface = judged(never_moved());
+  EXPECT_EQ(surface.status, FusionStatus::not_converged);
+  EXPECT_TRUE(mentions(surface.warnings, "no better surface than the prior")) << "the search changed another surface";
+}
+
+TEST(Verdict, TheLastRoundIsNoneOfTheSearch) {
+  RefineReport report = good();
+  EXPECT_EQ(&last_round(report), &report.iterations[1]);
+  EXPECT_TRUE(has_settled(report)) << "the search moved by 9 GSD, but another surface";
+  report.iterations[1].change_gsd = 2;
+  report.iterations[2].change_gsd = 0.1;
+  EXPECT_FALSE(has_settled(report));
+  report.iterations.push_back({.change_gsd = 0.3, .accepted_steps = 2, .tiles = 2});
+  EXPECT_EQ(&last_round(report), &report.iterations[3]);
 }
 
 TEST(Verdict, PartsThatCouldNotBeSolvedAreNotConverged) {
@@ -92,10 +131,9 @@ TEST(Verdict, AnUnconvergedSurfaceThatKeptThePriorIsPartial) {
 }
 
 TEST(Verdict, AWrongModelIsHarmlessIfThePriorWasKept) {
-  RefineReport report = good();
+  RefineReport report = never_moved();
   report.trusted_share = 0.01;
   report.metal = true;
-  report.iterations[1].rejected_steps = 100;
   const FusedSurface surface = judged(report);
   EXPECT_EQ(surface.confidence.level, ConfidenceLevel::partial);
   EXPECT_TRUE(mentions({surface.confidence.reasons[0]}, "The surface is the prior's"));
@@ -164,6 +202,17 @@ TEST(Verdict, AStatedMetalThatTheImagesContradictLowersTheConfidence) {
   report.trusted_share = 0;
   EXPECT_EQ(judged(report).confidence.level, ConfidenceLevel::partial) << "the prior's surface is not in doubt";
   EXPECT_TRUE(mentions(judged(report).warnings, "a metal whose color changes"));
+}
+
+TEST(Verdict, SaysThatTheObjectIsTakenForMetalWithoutEvidenceToo) {
+  RefineReport report = good();
+  report.metal_index = {2.5, 3};
+  for (const double trusted : {0.97, nan}) {
+    report.trusted_share = trusted;
+    EXPECT_TRUE(mentions(judged(report).warnings, "taken for bare metal")) << trusted;
+  }
+  report.trusted_share = 0;
+  EXPECT_FALSE(mentions(judged(report).warnings, "taken for bare metal")) << "no slope is of that light";
 }
 
 TEST(Verdict, WarnsOfAnIndexThatIsNeitherGivenNorEstimated) {
