@@ -17,6 +17,7 @@
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
+#include "malus/linalg/stop_when_cancelled_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -92,18 +93,6 @@ class CellMean final : public ceres::CostFunction {
 /// How the solution of a tile ended. An unsolved tile keeps the surface that it started from.
 enum class TileOutcome { converged, still_changing, unsolved };
 
-/// Ends a solution after the step in which the run is canceled.
-class StopIfCancelled final : public ceres::IterationCallback {
- public:
-  explicit StopIfCancelled(const Context& context) : context_(context) {}
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
-    return context_.cancelled() ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
-  }
-
- private:
-  const Context& context_;
-};
-
 /// One tile of the problem.
 class Tile {
  public:
@@ -132,7 +121,7 @@ class Tile {
     how.function_tolerance = 1e-4;
     how.num_threads = 1;
     how.logging_type = ceres::SILENT;
-    StopIfCancelled stop(context);
+    StopWhenCancelled stop(context);
     how.callbacks.push_back(&stop);
     ceres::Solver::Summary summary;
     const SequentialBlas sequential;  // tiles are the unit of parallelism

@@ -176,10 +176,11 @@ struct PriorOptions {
 
   template <class Self, class Visitor>
   static void fields(Self& self, Visitor&& visit) {
-    visit("sigma", self.sigma, Range{1e-12, 1e12},
-          "standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the "
-          "station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map, cloud that was smoothed); required "
-          "for a shape");
+    visit(
+        "sigma", self.sigma, Range{1e-12, 1e12},
+        "standard deviation of a cloud's points or of another prior's depth, in the station's unit; auto = from the "
+        "station file, else measured (cloud) or raster_sigma_gsd (mesh, depth map, cloud that was smoothed); required "
+        "for a shape");
     visit("smoothing_px", self.smoothing_px, Range{0.1, 1000.0},
           "length over which a cloud is smoothed, in px: larger removes more noise, smaller keeps more detail; auto = "
           "estimated from the cloud's noise and density");

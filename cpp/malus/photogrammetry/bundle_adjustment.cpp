@@ -10,6 +10,7 @@
 #include "malus/core/error.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
+#include "malus/linalg/stop_when_cancelled_internal.h"
 #include "malus/photogrammetry/bundle_adjustment_internal.h"
 
 namespace malus {
@@ -179,17 +180,6 @@ std::pair<std::size_t, int> datum_of_scale(const Bundle& bundle) {
   base.cwiseAbs().maxCoeff(&axis);
   return {farthest, axis};
 }
-
-class StopWhenCancelled final : public ceres::IterationCallback {
- public:
-  explicit StopWhenCancelled(const Context& context) : context_(context) {}
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
-    return context_.cancelled() ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
-  }
-
- private:
-  const Context& context_;
-};
 
 void find_lens_sigmas(ceres::Problem& problem, Bundle& bundle, double factor, int threads) {
   std::vector<std::pair<const double*, const double*>> blocks;
