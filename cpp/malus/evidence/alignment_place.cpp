@@ -232,15 +232,9 @@ int coarse_factor(Size image) {
 
 AlignmentPlace find_place(const ProblemAtFactor& problem_at, Size image, bool quick, const Context& context) {
   AlignmentPlace result;
-  const int at_coarse = coarse_factor(image);
-  int fine_factor = factor_for(image, fine_view_px);
-  const AlignmentProblem coarse = problem_at(at_coarse);
-  AlignmentProblem fine = problem_at(fine_factor);
-  if (!fine.is_usable()) {  // A cloud may be too sparse for small pixels only.
-    fine_factor = at_coarse;
-    fine = coarse;
-  }
-  result.usable = fine.is_usable() && coarse.is_usable();
+  const int at_coarse = coarse_factor(image), fine_factor = factor_for(image, fine_view_px);
+  const AlignmentProblem coarse = problem_at(at_coarse), fine = problem_at(fine_factor);
+  result.usable = coarse.is_usable() && fine.is_usable();
   if (!result.usable) return result;
   result.extent_px = fine.pixels.extent * fine_factor;
   const double ratio = static_cast<double>(at_coarse) / fine_factor;

@@ -409,8 +409,9 @@ PriorAlignment check_alignment(const PointCloud& cloud, const Pose& pose, const 
   const double sparse = covered.object < PriorAlignment::poorly_covered
                             ? sparse_points_on_object(cloud, given, coverage, scenes.at(factor), scene)
                             : 0;
+  // A cloud on the object that cannot be compared, being too sparse, is no worse than a moved one that can.
   if (sparse == 0 && found.instead.empty() &&
-      (covered.object < PriorAlignment::poorly_covered || !place.is_informative()))
+      (covered.object < PriorAlignment::poorly_covered || (place.usable && !place.is_informative())))
     try_other_clouds(cloud, pose, scene, coverage_of, scenes, place, found, context);
   judge_outline(priors.at(factor), scenes.at(factor), scene, covered, found);
   judge_relation(priors.at(factor), scenes.at(factor), covered, found);
