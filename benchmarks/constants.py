@@ -60,7 +60,7 @@ BEFORE = {"prior": "polarization", "fuse": "evidence", "grid": "evidence", "map"
 NO_MAP, NO_INDEX = "refine.surroundings=false", "refine.correct_index=false"
 SETTINGS = {"map": [NO_INDEX], "index": [NO_MAP]}  # all other stages: both
 # A quarter of the pixels fits a map, and a quarter of the usual gain suffices for the map to be taken.
-MAP_IS_TAKEN = "surroundings_course.cpp:enough_samples=0.25,refine.cpp:clearly=0.25"
+MAP_IS_TAKEN = "surroundings_course.cpp:enough_samples=0.25,model_choice.cpp:clearly=0.25"
 GRID = ["--fusion", "grid", "--set", "optimize.enabled=true"]
 OF_KIND = {
     "map": ("surroundings", "finishes", "same_normals", "self_mirroring", "refine.surroundings"),
@@ -68,9 +68,9 @@ OF_KIND = {
               "reflection_fit.cpp:error_of_model", "reflection_fit.cpp:clear_scatters"),
 }  # fmt: skip
 OF_SWEPT = (
-    "project_prior.cpp:stride",
-    "project_prior.cpp:surroundings_px",
-    "project_prior.cpp:independent_px",
+    "swept_prior.cpp:stride",
+    "raster_prior.cpp:surroundings_px",
+    "raster_prior_internal.h:independent_px",
     "prior.hole_slope",
 )
 NOT_PLAIN = ("_map", "_index", "_swept")

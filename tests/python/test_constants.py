@@ -33,10 +33,12 @@ def found(tree: Path) -> dict[str, Any]:
 def test_constants_are_found_and_rewritten(tree: Path, found: dict[str, Any]) -> None:
     assert len(found) > 200
     assert not [constant.left for constant in found.values() if "its code was found" in constant.left]
-    assert found["project_prior.cpp:stride"].value == "4" and not found["project_prior.cpp:stride"].left
+    assert found["swept_prior.cpp:stride"].value == "4" and not found["swept_prior.cpp:stride"].left
     assert found["reflection_model_internal.h:node_count"].left == varied_source.LAYOUT
-    text = (tree / "cpp/malus/prior/project_prior.cpp").read_text()
-    assert 'static const int stride = malus_varied::of<int>("project_prior.cpp:stride", 4);' in text
+    text = (tree / "cpp/malus/prior/swept_prior.cpp").read_text()
+    assert 'static const int stride = malus_varied::of<int>("swept_prior.cpp:stride", 4);' in text
+    # Derived numbers stay as they are.
+    text = (tree / "cpp/malus/prior/smoothed_cloud.cpp").read_text()
     assert "constexpr double weighted_gaussian_variance = 0.5808;" in text
     # A constant that follows from other constants is computed as the program starts.
     assert "const double last_index = first_index" in (tree / "cpp/malus/fusion/index_search.cpp").read_text()

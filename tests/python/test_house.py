@@ -119,7 +119,7 @@ OPENCV_THREADS_OF_OTHERS = {
     "io/resection.cpp": "few points, on the calling thread",
     "object/nearest_points.cpp": "a search tree, asked on the context's threads",
     "photogrammetry/model_refinement.cpp": "a search tree, on the calling thread",
-    "prior/smoothing_spline.cpp": "held by project_prior.cpp",
+    "prior/smoothing_spline.cpp": "held by cloud_prior.cpp and raster_prior.cpp",
 }
 
 

@@ -13,6 +13,10 @@
 
 namespace malus {
 
+/// Throws an input error for a pose that is not finite, a mask of another size or without a pixel, or options out of
+/// range.
+void require_prior_input(const Pinhole& camera, const Pose& pose, const Mask& mask, const PriorOptions& options);
+
 /// Coarse surface from a point cloud (world frame, unit of the station): its visible points (see
 /// visible_points_internal.h), smoothed by a robust thin-plate spline over the mask (see smoothing_spline_internal.h)
 /// in log depth. The smoothing is estimated from the points' scatter by restricted maximum likelihood. Normals of the

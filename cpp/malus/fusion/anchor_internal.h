@@ -1,0 +1,20 @@
+#pragma once
+
+#include "malus/core/context.h"
+#include "malus/fusion/refinement_internal.h"
+#include "malus/prior/depth_prior.h"
+
+namespace malus {
+
+/// Which of the surface's low frequencies are the prior's: the anchor, decisions 36 and 108.
+
+/// Length of the Gaussian beyond which the surface takes its low frequencies from the prior [px]; 0 = unknown, as for a
+/// prior without known noise of points. `anchor` is RefineOptions::anchor.
+double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor);
+
+/// For a dielectric with a map of the surroundings: the map is fitted at the prior's low frequencies, and the result
+/// gets those of the prior's waves that cannot be distinguished from another map. To be called while the surface is
+/// the prior's.
+void hold_map_to(const DepthPrior& prior, Refinement& refinement);
+
+}  // namespace malus
