@@ -16,6 +16,7 @@
 #include "malus/io/input_file_internal.h"
 #include "malus/io/polarized_files_internal.h"
 #include "malus/io/resection_internal.h"
+#include "malus/io/section_reading_internal.h"
 #include "malus/io/station_file_internal.h"
 #include "malus/io/station_tables_internal.h"
 #include "malus/io/toml_document_internal.h"
@@ -31,7 +32,6 @@ constexpr double least_sector_deg = 6.3;
 
 constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
 
-using Keys = std::vector<std::string_view>;
 /// Keys of a lens: model BROWN's parameters by name, and the keys that all models have.
 const Keys brown_keys{"focal_mm", "pixel_mm", "x0_mm", "y0_mm", "k1", "k2", "k3", "p1", "p2", "p3"};
 const Keys lens_keys{"model", "width", "height", "params"};
@@ -39,50 +39,6 @@ const Keys lens_keys{"model", "width", "height", "params"};
 const Keys surface_keys{"cloud", "mesh", "depth", "plane", "sphere", "cylinder"};
 /// Keys of a pose.
 const Keys pose_keys{"qvec", "tvec", "omega_phi_kappa_deg", "center"};
-
-Keys joined(std::initializer_list<Keys> lists) {
-  Keys all;
-  for (const Keys& keys : lists) all.insert(all.end(), keys.begin(), keys.end());
-  return all;
-}
-
-/// Keys of a spec's fields, and `keys`, which only the file has.
-template <class Spec>
-Keys keys_of(const Spec& spec, Keys keys = {}) {
-  Spec::fields(spec, [&keys](std::string_view key, const auto&...) { keys.push_back(key); });
-  return keys;
-}
-
-/// Sets the fields that have no form of their own; those without a range may have any value.
-template <class Spec>
-void read_fields(const TomlTable& table, Spec& spec) {
-  Spec::fields(spec, [&table](std::string_view key, auto& value, const auto&... range) {
-    if constexpr ((std::convertible_to<decltype(range), Range> && ...)) table.read(key, value, Range(range...));
-  });
-}
-
-/// Throws the error `why` for the first of the keys that the table has.
-void refuse(const TomlTable& table, const Keys& keys, const std::string& why) {
-  const auto found = std::ranges::find_if(keys, [&table](std::string_view key) { return table.has(key); });
-  if (found != keys.end()) throw table.error(*found, why);
-}
-
-/// The pairs of a list such as [[90, 45], [135, 0]]; nothing unless it is a list of pairs of finite numbers.
-std::optional<std::vector<std::array<double, 2>>> pairs_of(const toml::node& node) {
-  if (!node.is_array()) return std::nullopt;
-  std::vector<std::array<double, 2>> pairs;
-  for (const toml::node& row : *node.as_array()) {
-    if (!row.is_array() || row.as_array()->size() != 2) return std::nullopt;
-    std::array<double, 2>& pair = pairs.emplace_back();
-    for (std::size_t i = 0; i < 2; ++i) {
-      const toml::node& number = (*row.as_array())[i];
-      const std::optional<double> value = number.is_number() ? number.value<double>() : std::nullopt;
-      if (!value || !std::isfinite(*value)) return std::nullopt;
-      pair[i] = *value;
-    }
-  }
-  return pairs;
-}
 
 std::string read_unit(const TomlTable& table, const std::string& otherwise) {
   Keys names;
@@ -345,31 +301,6 @@ OpticsSpec read_optics(const TomlTable& table, const GivenInMemory* given) {
 }
 
 // ---- [[control]] ----
-
-/// Name of a control point, patch or profile, by default its number; names must differ.
-std::string read_name(const TomlTable& table, std::size_t index, std::set<std::string>& names) {
-  const std::string name = table.text("name").value_or(std::to_string(index + 1));
-  if (!names.insert(name).second) throw table.error("name", "\"" + name + "\" appears twice, expected different names");
-  return name;
-}
-
-/// Marks in photos; without them, in images of the camera's model.
-std::vector<ImageMark> read_marks(const TomlTable& table, std::string_view key,
-                                  const std::optional<PhotosSpec>& photos) {
-  std::vector<ImageMark> marks;
-  std::set<std::string> images;
-  const std::string expected = "a list of marks { image = \"…\", x = …, y = … }";
-  for (const TomlTable& mark : table.tables(key, keys_of(ImageMark{}), expected)) {
-    ImageMark result;
-    result.image = mark.required(mark.text("image"), "image", "the name of a photo");
-    result.x = mark.required(mark.number("x"), "x", "the column in pixels");
-    result.y = mark.required(mark.number("y"), "y", "the row in pixels");
-    if (photos) require_file(photos->folder / result.image, mark.where("image"));
-    if (!images.insert(result.image).second) throw mark.wrong("image", "one mark a photo");
-    marks.push_back(std::move(result));
-  }
-  return marks;
-}
 
 /// All control points. They define the frame of [photos] if the surface comes from these, else the pose of the
 /// polarized image's camera.
