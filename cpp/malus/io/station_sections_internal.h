@@ -1,0 +1,37 @@
+#pragma once
+
+// Private to the io room: one reader a section of the station file, in the order in which they are called; each is in
+// the source named after its section. `document` is the whole file. All throw ErrorCode::input with file, line, field,
+// value and what was expected.
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "malus/io/station_spec.h"
+#include "malus/io/toml_table_internal.h"
+
+namespace malus {
+
+/// [[control]]: all control points. They define the frame of [photos] if the surface comes from these, else the pose of
+/// the polarized image's camera.
+std::vector<ControlPoint> read_control(const TomlTable& document, const StationFile& station);
+
+/// Throws unless the control points lie in the image.
+void require_control_in_image(const TomlTable& document, const StationFile& station, Size size);
+
+/// [camera]: sets the lens, or the camera with its pose, which may come from the control points. `images`: size of the
+/// polarized images, as far as it is known. Nothing changes without the section.
+void read_camera(const TomlTable& document, const std::optional<Size>& images, StationFile& station);
+
+/// The lens that another section, such as [photos], has as its table `camera`; nothing without it.
+std::optional<LensCamera> lens_in(const TomlTable& section);
+
+/// Size of the polarized images; nothing for RAW files, whose size is known only after development, and for images in
+/// memory, whose size is that of the camera. `where` names the images in messages.
+std::optional<Size> size_of_images(const StationFile& station, const std::string& where);
+
+/// Size of images without a known one of their own: that of the camera, if it is stated.
+Size size_of_camera(const StationFile& station);
+
+}  // namespace malus
