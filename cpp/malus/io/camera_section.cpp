@@ -3,7 +3,6 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/io/colmap_model_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/io/polarized_files_internal.h"
 #include "malus/io/resection_internal.h"
 #include "malus/io/section_reading_internal.h"
 #include "malus/io/station_sections_internal.h"

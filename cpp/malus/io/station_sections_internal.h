@@ -8,10 +8,19 @@
 #include <string>
 #include <vector>
 
+#include "malus/io/given_station_internal.h"
 #include "malus/io/station_spec.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {
+
+/// [polarized], which every station has. `given`: the images in memory, whose files are then no keys; nullptr = all
+/// data are in files. Throws ErrorCode::data for fewer than three distinct polarizer angles modulo 180°, and for fewer
+/// than five images whose angles are to be found.
+PolarizedSpec read_polarized(const TomlTable& document, const GivenInMemory* given);
+
+/// [optics]; the defaults without it.
+OpticsSpec read_optics(const TomlTable& document, const GivenInMemory* given);
 
 /// [[control]]: all control points. They define the frame of [photos] if the surface comes from these, else the pose of
 /// the polarized image's camera.
