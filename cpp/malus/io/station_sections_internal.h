@@ -4,6 +4,8 @@
 // the source named after its section. `document` is the whole file. All throw ErrorCode::input with file, line, field,
 // value and what was expected.
 
+#include <toml++/toml.h>
+
 #include <optional>
 #include <string>
 #include <vector>
@@ -21,6 +23,15 @@ PolarizedSpec read_polarized(const TomlTable& document, const GivenInMemory* giv
 
 /// [optics]; the defaults without it.
 OpticsSpec read_optics(const TomlTable& document, const GivenInMemory* given);
+
+/// [photos]; nothing without it.
+std::optional<PhotosSpec> photos_in(const TomlTable& document);
+
+/// [prior]: sets file or shape, and sigma. No surface need be named if the surface itself is in memory.
+void read_prior(const TomlTable& document, bool in_memory, StationFile& station);
+
+/// The shape in a table with one of the keys `plane`, `sphere` and `cylinder` of [prior].
+Shape read_shape_table(const toml::table& root);
 
 /// [[control]]: all control points. They define the frame of [photos] if the surface comes from these, else the pose of
 /// the polarized image's camera.
@@ -42,5 +53,12 @@ std::optional<Size> size_of_images(const StationFile& station, const std::string
 
 /// Size of images without a known one of their own: that of the camera, if it is stated.
 Size size_of_camera(const StationFile& station);
+
+/// [[scale]]: all bars; the bars of a given prior scale the prior and the camera's position. `has_prior`: in a file or
+/// in memory.
+void read_scale_bars(const TomlTable& document, bool has_prior, StationFile& station);
+
+/// [[patch]] and [[profile]], which must lie in the polarized image of this size.
+void read_regions(const TomlTable& document, Size size, StationFile& station);
 
 }  // namespace malus
