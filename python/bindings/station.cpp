@@ -12,6 +12,7 @@
 #include "clouds.h"
 #include "interruptible.h"
 #include "malus/fusion/refined_share_internal.h"
+#include "malus/io/curve_pixels_internal.h"
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_file_internal.h"
 #include "malus/io/workspace_internal.h"

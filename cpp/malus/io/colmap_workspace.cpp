@@ -14,7 +14,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* suffix = ".geometric.bin";
+constexpr const char* map_suffix = ".geometric.bin";
 
 /// Depth maps by the name of their image.
 std::map<std::string, fs::path> depth_maps(const fs::path& folder) {
@@ -25,10 +25,10 @@ std::map<std::string, fs::path> depth_maps(const fs::path& folder) {
   for (const auto& entry : fs::recursive_directory_iterator(maps, none)) {
     const std::string name = entry.path().lexically_relative(maps).generic_string();
     photometric = photometric || name.ends_with(".photometric.bin");
-    if (name.ends_with(suffix)) found[name.substr(0, name.size() - std::string(suffix).size())] = entry.path();
+    if (name.ends_with(map_suffix)) found[name.substr(0, name.size() - std::string(map_suffix).size())] = entry.path();
   }
   if (found.empty()) {
-    throw input_error(folder.string() + " has no depth maps stereo/depth_maps/*" + suffix +
+    throw input_error(folder.string() + " has no depth maps stereo/depth_maps/*" + map_suffix +
                       (photometric ? ", only photometric ones; run patch_match_stereo with geom_consistency"
                                    : ", expected a file, or a workspace of COLMAP's dense stereo"));
   }
@@ -36,7 +36,7 @@ std::map<std::string, fs::path> depth_maps(const fs::path& folder) {
 }
 
 fs::path normal_map_of(const fs::path& folder, const std::string& image) {
-  return folder / "stereo" / "normal_maps" / (image + suffix);
+  return folder / "stereo" / "normal_maps" / (image + map_suffix);
 }
 
 /// The camera of a map that may be smaller than its image.

@@ -3,6 +3,7 @@
 #include <variant>
 
 #include "malus/io/given_station_internal.h"
+#include "malus/io/station_sections_internal.h"
 #include "malus/io/station_tables_internal.h"
 
 namespace malus {

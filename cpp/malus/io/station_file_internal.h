@@ -1,16 +1,11 @@
 #pragma once
 
-#include <array>
-#include <cstddef>
 #include <filesystem>
 #include <optional>
-#include <vector>
 
 #include "malus/io/station_spec.h"
 
 namespace malus {
-
-inline constexpr std::size_t most_curve_pixels = 8;
 
 /// Reads and checks a station file (docs/station-file.md describes every key): syntax, keys (an unknown key is an error
 /// that names the nearest known one), types, ranges, that every named file exists and is readable; resolves folders,
@@ -25,9 +20,5 @@ StationFile read_station_file(const std::filesystem::path& path,
 /// As read_station_file, but only [photos] and the [[scale]] bars and [[control]] points marked in them. This is for
 /// object files, whose other tables have another meaning. The result's other fields are not set.
 StationFile read_photos_tables(const std::filesystem::path& path);
-
-/// The station with these curve_pixels, (x, y), at most most_curve_pixels. Throws an input error for more pixels, or
-/// for a pixel outside the polarized images.
-StationFile with_curve_pixels(StationFile station, std::vector<std::array<double, 2>> pixels);
 
 }  // namespace malus

@@ -18,7 +18,4 @@ namespace malus {
 StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given,
                                 const std::optional<PhotosSpec>& shared_photos = std::nullopt);
 
-/// The shape in a table with one of the keys `plane`, `sphere` and `cylinder` of [prior].
-Shape read_shape_table(const toml::table& root);
-
 }  // namespace malus
