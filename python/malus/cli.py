@@ -28,7 +28,8 @@ from malus.demo import EXAMPLES, example_station
 from malus.errors import InputError, ending_of
 from malus.exports import COLORED, FORMATS, MESHES
 from malus.object import Object, run_object
-from malus.object.run import doubted_stations, object_summary
+from malus.object.doubts import doubted_stations
+from malus.object.figures import object_summary
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, ProgressView, WarningsOnly, nobody_reads
 from malus.reconstruction import PLATES_SECONDS, expected_times
