@@ -18,7 +18,7 @@ from malus._extra import extra
 from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError
-from malus.exports import Exporter
+from malus.exports.exporter import Exporter
 from malus.figures import flattened, hillshade, reduced, step_for
 from malus.options import Options
 from malus.raster import sample

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from malus import m3c2
 from malus.change.registration import Registration
 from malus.errors import DataError
-from malus.exports import Exporter
+from malus.exports.exporter import Exporter
 from malus.figures import reduced
 from malus.prior import project_mesh
 from malus.raster import sample_known
