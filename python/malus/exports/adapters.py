@@ -11,8 +11,8 @@ from malus._files import write_text
 from malus.colmap_export import write_colmap_workspace
 from malus.errors import InputError
 from malus.exports.exporter import Exporter, Wishes
-from malus.figures import flattened, gray, hillshade
 from malus.iiif import write_iiif
+from malus.relief import flattened, gray, hillshade
 from malus.rti import write_relight, write_rti
 
 
