@@ -65,7 +65,7 @@ malus::SweepInput read_input(const fs::path& folder, std::vector<malus::SweepVie
   return input;
 }
 
-/// The fused surface, limited to the neighborhood of its prior, as in python/malus/photogrammetry/front_end.py.
+/// The fused surface, limited to the neighborhood of its prior, as in python/malus/photogrammetry/station_sweep.py.
 malus::Image<float> held(const malus::FusedSurface& fused, const malus::DepthPrior& prior) {
   constexpr float trusted_sigmas = 2;
   malus::Image<float> shape = prior.depth;

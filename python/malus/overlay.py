@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._files import write_bytes
-from malus.figures import new_drawing, reduced, step_for
+from malus.figures.drawing import new_drawing
+from malus.raster import reduced, step_for
 from malus.station import Station
 
 _LONG_SIDE_PX, _DPI, _PANEL_INCHES, _HEAD_INCHES, _MARGIN_INCHES = 1000, 130, 6.4, 0.35, 1.2

@@ -1,7 +1,8 @@
-"""Interpolation of rasters between pixels."""
+"""Rasters between their pixels (interpolated) and with fewer of them (averaged)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,3 +33,23 @@ def sample_known(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[n
     total, weight = np.moveaxis(sample(values, pixels), -1, 0)
     # Less is the rounding of a place at the center of a pixel without a value.
     return np.where(weight > 1e-6, total / np.maximum(weight, 1e-6), np.nan)
+
+
+def reduced(raster: NDArray[Any], step: int) -> NDArray[np.float32]:
+    """Means over blocks of step × step pixels, NaN left out; the last block of a row or column may be smaller."""
+    if step == 1:
+        return raster.astype(np.float32)
+    rows, columns = np.arange(0, raster.shape[0], step), np.arange(0, raster.shape[1], step)
+    known = np.isfinite(raster)
+
+    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray(np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), columns, axis=1))
+
+    count = sums(known)
+    total = sums(np.where(known, raster, 0))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def step_for(shape: Sequence[int], limit: int) -> int:
+    """Smallest block size with which no side is longer than the limit."""
+    return max(1, -(-max(shape[0], shape[1]) // limit))

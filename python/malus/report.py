@@ -16,7 +16,7 @@ from malus import _core, viewer
 from malus._files import resolved, write_bytes, write_text
 from malus.columns import aligned, decimals, number
 from malus.errors import ExternalError, InputError
-from malus.figures import Figure, Plates, encode, gray
+from malus.figures import Figure, Plates, histograms, maps, profiles
 from malus.glossary import definitions
 from malus.lengths import shown, sides
 from malus.options import Options
@@ -24,6 +24,8 @@ from malus.pages import template
 from malus.paper import plates as paper_plates
 from malus.paper.tables import table_1
 from malus.photo_words import WORDS
+from malus.pictures import encode
+from malus.relief import gray
 from malus.report_head import accuracy_of, head_of
 from malus.trust import what_to_trust
 from malus.workspace import STEPS, Workspace, WorkspaceGiver, folder_of
@@ -142,16 +144,16 @@ class _Quality:
 
 def _figures(plates: Plates) -> dict[str, list[Figure]]:
     quality = plates.quality
-    profiles = [plates.profile_lines(), *plates.profiles()] if quality["profiles"] else []
+    sections = [profiles.profile_lines(plates), *profiles.profiles(plates)] if quality["profiles"] else []
     return {
-        "relief": [*plates.shadings(), *plates.elevations()],
-        "polarization": [*plates.polarization(), *paper_plates.sinusoids(plates)],
-        "height": list(plates.height()),
-        "profiles": profiles,
-        "patches": [*paper_plates.patch_boxes(plates), *plates.patches()],
-        "uncertainty": [*paper_plates.cloud(plates), *plates.uncertainty()],
-        "reference": list(plates.reference()),
-        "m3c2": list(plates.m3c2()),
+        "relief": [*maps.shadings(plates), *maps.elevations(plates)],
+        "polarization": [*maps.polarization(plates), *paper_plates.sinusoids(plates)],
+        "height": list(maps.height(plates)),
+        "profiles": sections,
+        "patches": [*paper_plates.patch_boxes(plates), *histograms.patches(plates)],
+        "uncertainty": [*paper_plates.cloud(plates), *maps.uncertainty(plates)],
+        "reference": list(histograms.reference(plates)),
+        "m3c2": list(histograms.m3c2(plates)),
     }
 
 
@@ -181,7 +183,7 @@ def _trust(plates: Plates) -> bytes | None:
     """The trust map over relief shading: where the surface is refined, and where it is the prior's."""
     if plates.quality["confidence"]["level"] == "low" or not plates.workspace.has("fused/trust.png"):
         return None  # With low confidence, a map that shows trusted parts would contradict the text.
-    return encode(plates.trust_picture()[plates.object_box()], "WEBP", quality=85)
+    return encode(maps.trust_picture(plates)[plates.object_box()], "WEBP", quality=85)
 
 
 def _sections(quality: Mapping[str, Any], figures: Mapping[str, list[Figure]]) -> list[tuple[str, str]]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from malus import _core
 from malus.columns import number
-from malus.figures import Plates, encode
+from malus.figures import Plates
 from malus.lengths import scale_bar, shown, sides
+from malus.pictures import encode
 from malus.trust import is_the_prior
 from malus.workspace import Workspace
 

@@ -94,7 +94,8 @@ class Result:
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:
         """Relief shadings of prior and fused surface, of each only if it exists: title → gray and alpha, at most 480 px wide or high."""
-        from malus.figures import flattened, gray, hillshade, reduced, step_for
+        from malus.raster import reduced, step_for
+        from malus.relief import flattened, gray, hillshade
 
         pictures = {}
         for title, depth in (("prior", self.prior_depth), ("fused", self.depth)):
@@ -126,7 +127,7 @@ class Result:
         return f"Result({self.name!r}: {self._summary()})"
 
     def _repr_html_(self) -> str:
-        from malus.figures import data_url
+        from malus.pictures import data_url
 
         pictures = "".join(
             f'<figure style="display:inline-block;margin:4px"><img alt="Relief shading of the {title} surface" '

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus import _core, figures
+from malus import _core
 from malus.albedo import diffuse_albedo
 from malus.errors import DataError
-from malus.figures import reduced, step_for
 from malus.pages import base64_text
+from malus.pictures import encode
+from malus.raster import reduced, step_for
 from malus.surface import Mesh, mesh_from_depth, normals_from_depth
 from malus.units import METERS
 from malus.workspace import Raster, Workspace
@@ -110,7 +111,7 @@ def relighting(workspace: Workspace) -> dict[str, Any]:
         "median_slope": [float(x) for x in np.median(slopes, axis=0)],
         "fused": _packed_normals(fused),
         "prior": _packed_normals(prior),
-        "color": base64_text(figures.encode(np.dstack([display, mask]), "WEBP", quality=_QUALITY)),
+        "color": base64_text(encode(np.dstack([display, mask]), "WEBP", quality=_QUALITY)),
         "gsd": float(workspace.quality["gsd"]) * window.step,
         "meters": METERS[workspace.quality["unit"]],
     }

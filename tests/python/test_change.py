@@ -21,7 +21,7 @@ from malus.change.regions import find_regions
 from malus.change.registration import _from_features, register
 from malus.change.run import _warnings
 from malus.change.significance import Distances, measure
-from malus.exports import Exporter
+from malus.exports.exporter import Exporter
 
 pytest.importorskip("py4dgeo")
 pytest.importorskip("cv2")

@@ -17,6 +17,7 @@ import pytest
 import malus
 from conftest import malus_here, run_program
 from malus import cli, progress
+from malus.cli.output import print_lines
 from malus.options import MAIN
 from malus.progress import BarProgress, JsonProgress, Overall, ProgressView, WarningsOnly, duration
 
@@ -72,15 +73,15 @@ def test_lines_fit_on_a_terminal_and_stay_whole_in_a_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = "  reasons: " + "the reflection-model explains some " * 5
-    cli._print_lines(said)
+    print_lines(said)
     assert capsys.readouterr().out == said + "\n"
     monkeypatch.setattr(cli.sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "60")
-    cli._print_lines(said)
+    print_lines(said)
     first, *others = capsys.readouterr().out.splitlines()
     assert max(map(len, (first, *others))) <= 60 and all(line.startswith("    ") for line in others)
     assert " ".join((first + " " + " ".join(others)).split()) == " ".join(said.split())
-    cli._print_lines("1 of 2 stations failed\n  o1: no such file")  # a text of several lines keeps its line breaks
+    print_lines("1 of 2 stations failed\n  o1: no such file")  # a text of several lines keeps its line breaks
     assert capsys.readouterr().out == "1 of 2 stations failed\n  o1: no such file\n"
 
 

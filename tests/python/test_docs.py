@@ -230,9 +230,11 @@ def _commands_of(text: str) -> list[list[str]]:
 
 def test_every_command_on_the_pages_exists() -> None:
     """Commands that no test runs must at least exist, and so must their options."""
-    from malus import cli
+    from malus.cli.arguments import command_line
 
-    (choices,) = (action.choices for action in cli._parser()._actions if isinstance(action, argparse._SubParsersAction))
+    (choices,) = (
+        action.choices for action in command_line()._actions if isinstance(action, argparse._SubParsersAction)
+    )
     wrong, seen = [], set()
     for page in PAGES:
         for words in _commands_of(page.read_text(encoding="utf-8")):

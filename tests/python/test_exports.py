@@ -25,6 +25,7 @@ from conftest import malus_here, malus_station, run_program
 from malus import _core, drawings, exported, exports, rti, scans
 from malus._files import read_record
 from malus.object import arrays
+from malus.raster import sample
 from malus.rti import write_ptm
 from malus.trust import said_of
 from malus.xmp import NAMESPACE, srgb_profile
@@ -51,7 +52,7 @@ def assert_on_surface(vertices: np.ndarray, workspace: malus.Workspace, largest:
     x, y, z = (vertices @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
     depth = workspace.raster("fused/depth.tif")[..., None]
-    error = np.abs(exports.sample(depth, pixels)[:, 0] - z)
+    error = np.abs(sample(depth, pixels)[:, 0] - z)
     assert error.max() < largest
     assert np.median(error) < median
 
@@ -430,7 +431,7 @@ def test_a_model_that_is_not_turned_yet_has_no_final_name(
     def interrupted(_: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(exports, "_turn_y_up", interrupted)
+    monkeypatch.setattr(exports.meshes, "_turn_y_up", interrupted)
     with pytest.raises(KeyboardInterrupt):
         malus.export(workspace.folder, "glb", tmp_path / "up.glb", y_up=True)
     assert not list(tmp_path.iterdir())
@@ -447,7 +448,7 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     known = np.isfinite(dem.elevation)
     np.testing.assert_array_equal(picture[3] > 0, known)
     seen = exports.Exporter(workspace).pixels(dem.points()[known])
-    expected = exports.sample(exports.Exporter(workspace).picture(), seen)
+    expected = sample(exports.Exporter(workspace).picture(), seen)
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
@@ -617,7 +618,7 @@ def test_contours_lie_at_their_height(workspace: malus.Workspace, tmp_path: Path
         assert np.allclose(every[:, 2] % 0.5, 0, atol=1e-9) or np.allclose(every[:, 2] % 0.5, 0.5, atol=1e-9)
         rows, columns = -every[:, 1] / dem.pixel, every[:, 0] / dem.pixel
         assert rows.min() > -1e-9 and columns.max() < dem.elevation.shape[1] - 1 + 1e-9
-        height = exports.sample(dem.elevation[..., None].astype(float), np.stack([columns, rows], -1))[:, 0]
+        height = sample(dem.elevation[..., None].astype(float), np.stack([columns, rows], -1))[:, 0]
         known = np.isfinite(height)
         assert known.mean() > 0.8
         np.testing.assert_allclose(height[known], every[known, 2], atol=0.05)
@@ -695,7 +696,7 @@ def test_colmap_can_continue_with_the_surface(workspace: malus.Workspace, points
     x, y, z = (np.asarray(mesh.vertices) @ rotation.T + translation).T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1) + 0.5
     np.testing.assert_allclose(pixels, np.rint(pixels), atol=1e-2)
-    depth = exports.sample(workspace.raster("fused/depth.tif")[..., None], np.rint(pixels))[:, 0]
+    depth = sample(workspace.raster("fused/depth.tif")[..., None], np.rint(pixels))[:, 0]
     np.testing.assert_allclose(z, depth, atol=1e-3)
     with pytest.raises(malus.InputError, match="is there already"):
         malus.export(workspace.folder, "colmap", folder)

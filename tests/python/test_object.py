@@ -36,7 +36,9 @@ from malus.object import (
     View,
     agreement_figures,
     closed_surface,
+    clouds,
     combine,
+    doubts,
     implicit,
     joined_mesh,
     joining,
@@ -48,14 +50,18 @@ from malus.object import (
     textured,
     unseen_stereo,
 )
+from malus.object import frame as object_frame
 from malus.object import run as object_run
 from malus.object.agreement import agreements_of, object_points
 from malus.object.albedo import Albedos
+from malus.object.clouds import _read_cloud, clouds_of
+from malus.object.doubts import doubts_of_stations, warnings_of
+from malus.object.figures import is_closed, mesh_figures, station_figures
+from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
+from malus.object.mesh_file import Coverage
 from malus.object.meshing import ObjectMesh, face_normals
 from malus.object.ply import read_mesh, write_ply
-from malus.object.run import Coverage, Frame, doubts_of_stations, find_frame, is_closed, mesh_figures
-from malus.object.run import _warnings as object_warnings
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
 from malus.pages import template
@@ -644,7 +650,7 @@ def test_command_line_makes_one_surface_and_does_nothing_twice(
     # A cloud that is replaced while the surface is made, after the stations have been run.
     (output / "object/mesh.ply").write_bytes(b"spoiled")
     with monkeypatch.context() as patch:
-        patch.setattr(object_run, "_write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run._write_mesh))
+        patch.setattr(object_run, "write_mesh", changing(pair.parent / "o1/dense/cloud.ply", object_run.write_mesh))
         outcome = malus_here("object", pair, "-o", output, "--quiet")
     assert outcome.code == 2 and "o1/station.toml: its files or results were changed" in outcome.err
     # What is left of an earlier surface, or made of this one, would look finished.
@@ -966,9 +972,9 @@ def test_an_error_of_the_search_for_cameras_has_the_warnings_before_it(
             raise DataError("no point is marked in two photos")
         return found
 
-    monkeypatch.setattr(object_run, "find_object_cameras", find)
-    monkeypatch.setattr(object_run, "unpolarized_scene", lambda *_: (np.ones((80, 100), np.float32), None))
-    monkeypatch.setattr(object_run, "_begin", lambda *_: None)
+    monkeypatch.setattr(object_frame, "find_object_cameras", find)
+    monkeypatch.setattr(object_frame, "unpolarized_scene", lambda *_: (np.ones((80, 100), np.float32), None))
+    monkeypatch.setattr(object_frame, "_begin", lambda *_: None)
     outcome = malus_here("object", turning, "-o", turning.parent / "out", "--threads", "1", "--quiet")
     assert outcome.code == 3 and f"malus: {said}" in outcome.err
     assert "  warning before it: 2.png: nothing in common" in outcome.err and "matched" not in outcome.err
@@ -1000,9 +1006,9 @@ def test_masks_of_stations_on_a_turntable_reach_the_search_for_cameras(
     def scene(*_: Any) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         return np.ones((80, 100), np.float32), np.full((80, 100), 255, np.uint8)
 
-    monkeypatch.setattr(object_run, "find_object_cameras", find)
-    monkeypatch.setattr(object_run, "unpolarized_scene", scene)
-    monkeypatch.setattr(object_run, "_begin", lambda *_: None)
+    monkeypatch.setattr(object_frame, "find_object_cameras", find)
+    monkeypatch.setattr(object_frame, "unpolarized_scene", scene)
+    monkeypatch.setattr(object_frame, "_begin", lambda *_: None)
     edit(turning.parent / "o1/station.toml", 'mask = "mask.png"\n', "")
     if not turntable:
         edit(turning, "turntable = true", "turntable = false")
@@ -1238,10 +1244,10 @@ def test_warnings_of_finding_the_stations_come_once(
         def __init__(self, folder: Path) -> None:
             self.quality = {"warnings": ["photos: a lens is doubtful", f"fuse: {folder.name} is dark"]}
 
-    monkeypatch.setattr("malus.object.run.Workspace", Reported)
+    monkeypatch.setattr(doubts, "Workspace", Reported)
     outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
     outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
-    said = object_warnings(outcomes, ["a lens is doubtful"], True, Object.load(pair), pair.parent, None)
+    said = warnings_of(outcomes, ["a lens is doubtful"], True, Object.load(pair), pair.parent, None)
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip
@@ -1280,7 +1286,7 @@ def test_agreement_with_a_station_counts_pixels_of_the_object() -> None:
     views = [sphere_view("a", (1, 0, 0)), replace(sphere_view("b", (1, 0.1, 0), offset=0.1), gsd=0.25)]
     agreements = combine(views)[1]
     outcomes = [{"station": view.name, "status": "done", "reason": "", "figures": {}} for view in views]
-    rows = object_run._station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2)), 0.4)
+    rows = station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2)), 0.4)
     for row, met in zip(rows, agreements, strict=True):
         assert row["agreement"]["median_gsd"] == pytest.approx(np.median(np.abs(met.distances)) / 0.4)
 
@@ -1394,12 +1400,12 @@ def scaled_by(distance: float) -> str:
 def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     edit(pair.parent / "o1/station.toml", "dense/cloud.ply", "../o0/dense/cloud.ply")
     manifest = {"steps": {"prior": {"notes": {"noise": 0.1}}}}
-    monkeypatch.setattr(object_run, "Workspace", lambda _: SimpleNamespace(manifest=manifest))
+    monkeypatch.setattr(clouds, "Workspace", lambda _: SimpleNamespace(manifest=manifest))
 
     def cloud() -> OrientedPoints:
         thing = Object.load(pair)
         files = [{"station": path.parent.name, "file": str(path)} for path in thing.campaign.stations]
-        (found,) = object_run._clouds(thing, files, pair.parent, gsd, 1)
+        (found,) = clouds_of(thing, files, pair.parent, gsd, 1)
         return found
 
     gsd = 1e9
@@ -1438,7 +1444,7 @@ def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> N
         folder.mkdir(parents=True)
         channels = 1 if values.ndim == 2 else 3
         (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
-    points, normals = object_run._read_cloud(tmp_path, "mm")
+    points, normals = _read_cloud(tmp_path, "mm")
     assert points.shape == (24, 3) and normals is not None
     np.testing.assert_allclose(points[:, 2], 5)
     np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)

@@ -23,7 +23,7 @@ from conftest import QUICK_WORDS, ROOT, edit, malus_here, malus_station
 from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
-from malus.figures import Plates
+from malus.figures import Plates, histograms, maps, profiles
 from malus.paper import writing
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
@@ -86,11 +86,11 @@ def test_plates_use_the_terms_of_the_paper(paper_work: Path) -> None:
     for path in (paper_work / "paper").glob("*.csv"):
         assert not ours.findall(path.name + path.read_text()), path
     plates = Plates(malus.Workspace(paper_work), for_print=True, words=SURFACES)
-    for figure in (*plates.profiles(), *plates.patches()):
+    for figure in (*profiles.profiles(plates), *histograms.patches(plates)):
         assert figure.drawing is not None
         said = [text.get_text() for text in figure.drawing.findobj(Text)]
         assert any("fusion" in text for text in said) and not ours.findall(" ".join(said)), figure.name
-    assert any("fused" in figure.csv() for figure in Plates(malus.Workspace(paper_work)).profiles())
+    assert any("fused" in figure.csv() for figure in profiles.profiles(Plates(malus.Workspace(paper_work))))
 
 
 def test_sinusoid_plate_fits_the_measured_intensities(paper_work: Path) -> None:
@@ -230,7 +230,7 @@ def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:
     spiked = list(profile["fused"])
     spiked[len(spiked) // 2] += 11
     plates.quality = plates.quality | {"profiles": [profile | {"fused": spiked}]}
-    (figure,) = plates.profiles()
+    (figure,) = profiles.profiles(plates)
     assert figure.drawing is not None
     below = figure.drawing.axes[1]
     low, high = below.get_ylim()
@@ -248,7 +248,7 @@ def test_histogram_of_a_rough_patch_can_be_read(paper_work: Path) -> None:
         "histogram_gsd": {"low": -1, "bin_width": 0.04, "counts": [3] * 50, "below": 20, "above": 30},
     }
     plates.quality = plates.quality | {"patches": [{"name": "flat", "prior": None, "polarization": fit, "fused": fit}]}
-    (figure,) = plates.patches()
+    (figure,) = histograms.patches(plates)
     assert figure.caption.endswith("Beyond the scale: polarization 25 %, fused 25 %.")
     assert figure.drawing is not None
     boxes = [label.get_window_extent() for label in figure.drawing.axes[0].get_xticklabels()]
@@ -266,7 +266,7 @@ def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) 
 
     patch = {"name": "flat", "prior": fit(0.05, 10), "polarization": fit(2, 10), "fused": fit(0.01, 10)}
     plates.quality = plates.quality | {"patches": [patch]}
-    (figure,) = plates.patches()
+    (figure,) = histograms.patches(plates)
     assert figure.drawing is not None
     axes = figure.drawing.axes[0]
     heights = {line.get_label().split(":")[0]: line.get_data().values.max() for line in axes.patches}
@@ -283,7 +283,7 @@ def test_histograms_with_classes_of_their_own_can_be_compared(paper_work: Path) 
 def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
     """Single clamped pixels cannot be seen in a picture, so their share is written below it."""
     plates = Plates(malus.Workspace(paper_work), for_print=True)
-    (figure,) = (figure for figure in plates.polarization() if figure.name == "clamped")
+    (figure,) = (figure for figure in maps.polarization(plates) if figure.name == "clamped")
     assert figure.drawing is not None
     words = [label.get_text() for label in figure.drawing.axes[1].get_xticklabels()]
     share = float(re.fullmatch(r"clamped (?:< )?([0-9.]+) %", words[1])[1])  # type: ignore[index]
@@ -304,7 +304,7 @@ def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
 
 def test_plates_are_reproduced_byte_by_byte(paper_work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of them: to draw all takes as long as the run."""
-    monkeypatch.setattr(writing, "_numbered", lambda plates: (("15", figure) for figure in plates.patches()))
+    monkeypatch.setattr(writing, "_numbered", lambda plates: (("15", figure) for figure in histograms.patches(plates)))
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     before = (work / "paper/fig_15_patch_1.svg").read_bytes()
@@ -481,7 +481,7 @@ def test_names_in_pictures_do_not_cover_what_they_name() -> None:
     axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
     places = [(380, 151), (365, 5)]
     for place in places:
-        Plates.tag(axes, place, "field $1_$")  # no formula, which would be a wrong one
+        drawing.tag(axes, place, "field $1_$")  # no formula, which would be a wrong one
     FigureCanvasAgg(drawing).draw()
     for text, place in zip(axes.texts, places, strict=True):
         box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)

@@ -29,10 +29,10 @@ from malus._files import sha256_of
 from malus.photogrammetry import (
     database,
     diagnosis,
-    front_end,
     photo_cameras,
     scale,
     station_pose,
+    station_sweep,
     window_matching,
 )
 from malus.photogrammetry.bench import Bench
@@ -364,8 +364,8 @@ def test_the_archive_of_a_station_of_an_object_has_photos_and_masks(
     edit(small_station, '[prior]\ncloud = "dense/cloud.ply"', "")
     figures = {"photogrammetry": {"files": {path.name: sha256_of(path) for path in (folder / "views").iterdir()}}}
     cameras = SimpleNamespace(station=lens, figures=figures, times={}, warnings=[])
-    hull = front_end.Hull(prior.prior_depth, prior.prior_sigma, {}, {mask: sha256_of(mask)})
-    swept = front_end.Swept(prior.prior_depth, prior.prior_sigma, None, {}, {}, hull)
+    hull = station_sweep.Hull(prior.prior_depth, prior.prior_sigma, {}, {mask: sha256_of(mask)})
+    swept = station_sweep.Swept(prior.prior_depth, prior.prior_sigma, None, {}, {}, hull)
     monkeypatch.setattr(package.photogrammetry, "find_cameras", lambda *_, **__: cameras)
     monkeypatch.setattr(package.photogrammetry, "sweep_station", lambda *_, **__: swept)
     station = package.Station.load(small_station, photos_of=folder / "object.toml")

@@ -21,7 +21,10 @@ from PIL import Image
 import malus
 from conftest import malus_here, run_program
 from malus import _core, figures, lengths, pages, viewer
+from malus import raster as raster_module
+from malus import relief as relief_module
 from malus.columns import MINUS, aligned, decimals, number, plain
+from malus.figures import maps, profiles
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, page_in_browser, pixel_mm, turning_view
@@ -362,13 +365,13 @@ def test_scale_bars_are_round_and_about_a_fifth(extent: float, unit: str, bar: t
 
 def test_scale_of_a_section_leaves_out_single_spikes() -> None:
     wave = np.sin(np.arange(500) / 7)
-    assert figures._without_spikes([wave, 2 * wave]) is None
+    assert profiles._without_spikes([wave, 2 * wave]) is None
     spiked = wave.copy()
     spiked[250] = 300
     spiked[251] = np.nan
-    low, high = figures._without_spikes([spiked]) or (0, 0)
+    low, high = profiles._without_spikes([spiked]) or (0, 0)
     assert low == pytest.approx(-1, abs=0.01) and 2 < high < 4
-    assert figures._without_spikes([]) is None
+    assert profiles._without_spikes([]) is None
 
 
 def test_detail_of_a_section_excludes_its_form() -> None:
@@ -376,13 +379,13 @@ def test_detail_of_a_section_excludes_its_form() -> None:
     wave = np.sin(along / 2)
     section = 0.3 * along - 40 + wave
     section[60:64] = np.nan
-    detail = figures.without_form(section, 8)
+    detail = profiles.without_form(section, 8)
     assert np.isnan(detail[60:64]).all()
     np.testing.assert_allclose(detail[90:-40], wave[90:-40], atol=0.05)
     bent = 0.3 * along - 40 + 0.02 * (along - 90) ** 2
-    np.testing.assert_allclose(figures.without_form(bent, 8), 0, atol=1e-8)
+    np.testing.assert_allclose(profiles.without_form(bent, 8), 0, atol=1e-8)
     bent[[*range(1, 80), *range(82, 200)]] = np.nan  # one sample by itself, then two
-    np.testing.assert_allclose(figures.without_form(bent, 8)[[0, 80, 81]], 0, atol=1e-4)
+    np.testing.assert_allclose(profiles.without_form(bent, 8)[[0, 80, 81]], 0, atol=1e-4)
 
 
 def unpack(text: str) -> np.ndarray:
@@ -419,31 +422,31 @@ def test_blue_is_in_front_in_the_map_of_what_fusion_changed(work: Path, monkeypa
     monkeypatch.setattr(
         plates, "raster", lambda name: own("prior/depth.tif") - 1 if name == "fused/depth.tif" else own(name)
     )
-    (change,) = (figure for figure in plates.uncertainty() if figure.name == "fused_minus_prior")
+    (change,) = (figure for figure in maps.uncertainty(plates) if figure.name == "fused_minus_prior")
     red, _, blue = change.picture[change.picture.shape[0] // 3, change.picture.shape[1] // 2].astype(int)
     assert blue > red + 40 and "Negative (blue)" in change.caption
 
 
 @pytest.mark.parametrize(("limits", "ends"), [((0, 9), "neither"), ((1, 9), "min"), ((0, 8), "max"), ((1, 8), "both")])
 def test_color_bars_show_where_values_lie_beyond_them(limits: tuple[float, float], ends: str) -> None:
-    drawing = figures.new_drawing(4, 3)
+    drawing = figures.drawing.new_drawing(4, 3)
     values = np.append(np.arange(9.0), [np.nan, 9]).reshape(1, -1)
     picture = drawing.add_axes((0, 0.3, 1, 0.7)).imshow(values, vmin=limits[0], vmax=limits[1])
-    figures.color_bar(drawing, picture, "mm")
+    figures.drawing.color_bar(drawing, picture, "mm")
     assert picture.colorbar is not None and picture.colorbar.extend == ends
 
 
 def test_reduced_rasters_average_only_valid_pixels() -> None:
     raster = np.array([[1, 3, 10], [np.nan, 5, np.nan]], np.float32)
-    np.testing.assert_allclose(figures.reduced(raster, 2), [[3, 10]])
-    assert np.isnan(figures.reduced(np.full((2, 2), np.nan, np.float32), 2)).all()
+    np.testing.assert_allclose(raster_module.reduced(raster, 2), [[3, 10]])
+    assert np.isnan(raster_module.reduced(np.full((2, 2), np.nan, np.float32), 2)).all()
 
 
 @pytest.mark.parametrize(("slope", "azimuth", "brighter"), [(0.3, 90, False), (0.3, 270, True), (-0.3, 90, True)])
 def test_hillshade_is_linear_in_the_cosine_to_the_light(slope: float, azimuth: float, brighter: bool) -> None:
     relief = np.tile(slope * 2.0 * np.arange(20, dtype=np.float32), (15, 1))
     relief[3, 4] = np.nan
-    shade = figures.hillshade(relief, 2.0, azimuth, 50)
+    shade = relief_module.hillshade(relief, 2.0, azimuth, 50)
     sign = 1 if brighter else -1
     angle = np.arctan(abs(slope))
     black = np.sin(np.radians(20))
@@ -601,9 +604,9 @@ def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.Wa
     """Pictures had boxes in place of Chinese letters and Hebrew ones in the wrong order, and quality.json in the page had escapes."""
     plates = figures.Plates(malus.Workspace(finished_grid))
     plates.quality["profiles"][0]["name"] = "剖面 1"
-    assert "the name stands at the start. (1) is 剖面 1." in plates.profile_lines().caption
+    assert "the name stands at the start. (1) is 剖面 1." in profiles.profile_lines(plates).caption
     assert not any("Glyph" in str(warning.message) for warning in recwarn)
-    assert figures.names_in_picture(["front", "חזית", "Größe"]) == (["front", "(2)", "Größe"], " (2) is חזית.")
+    assert figures.drawing.names_in_picture(["front", "חזית", "Größe"]) == (["front", "(2)", "Größe"], " (2) is חזית.")
     shown = pages.template("campaign.html.j2").environment.from_string("{{ said | tojson }}")
     assert shown.render(said={"b": "青銅鏡", "a": "<"}) == '{"b": "青銅鏡", "a": "\\u003c"}'
 

@@ -12,7 +12,7 @@ import pytest
 import malus
 from malus import _core
 from malus._files import sha256_of
-from malus.photogrammetry import StationCameras, front_end
+from malus.photogrammetry import StationCameras, station_sweep
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo
 
@@ -121,9 +121,9 @@ def placed(scene: dict[str, object], tmp_path: Path) -> StationCameras:
 
 def sweep_station(
     scene: dict[str, object], placed: StationCameras, folder: Path, options: malus.Options,
-    fuse: Callable[[front_end.Swept], front_end.FusedOnce],
-) -> front_end.Swept:  # fmt: skip
-    return front_end.sweep_station(
+    fuse: Callable[[station_sweep.Swept], station_sweep.FusedOnce],
+) -> station_sweep.Swept:  # fmt: skip
+    return station_sweep.sweep_station(
         placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), folder, fuse=fuse, fused_of={},
         options=options, threads=1, progress=lambda *_: None, log=lambda *_: None,
     )  # fmt: skip
@@ -134,18 +134,18 @@ def test_station_is_swept_again_about_the_fused_surface_once(
     scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     again: bool, completeness: float, fusions: int,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(front_end, "AGAIN_COMPLETENESS", completeness)
+    monkeypatch.setattr(station_sweep, "AGAIN_COMPLETENESS", completeness)
     options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40, "again": again})
     gsd = DISTANCE / FOCAL
-    fused: list[front_end.Swept] = []
+    fused: list[station_sweep.Swept] = []
 
-    def fuse(first: front_end.Swept) -> front_end.FusedOnce:
+    def fuse(first: station_sweep.Swept) -> station_sweep.FusedOnce:
         fused.append(first)
         prior = np.float32(scene["depth"])
         surface = prior.copy()
         surface[50, 60] += 5 * gsd
         surface[0, 0] = np.nan
-        return front_end.FusedOnce(surface, prior, np.full_like(prior, gsd))
+        return station_sweep.FusedOnce(surface, prior, np.full_like(prior, gsd))
 
     first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == fusions
@@ -161,19 +161,19 @@ def test_station_is_swept_again_about_the_fused_surface_once(
 def test_incomplete_sweep_drops_depths_that_the_fused_surface_contradicts(
     scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(front_end, "AGAIN_COMPLETENESS", 1.1)
+    monkeypatch.setattr(station_sweep, "AGAIN_COMPLETENESS", 1.1)
     options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40})
     gsd = DISTANCE / FOCAL
     mirror = np.zeros((HEIGHT, WIDTH), bool)
     mirror[40:60, 30:60] = True
-    fused: list[front_end.Swept] = []
+    fused: list[station_sweep.Swept] = []
 
-    def fuse(swept: front_end.Swept) -> front_end.FusedOnce:
+    def fuse(swept: station_sweep.Swept) -> station_sweep.FusedOnce:
         """A surface that differs from the sweep by 20 GSD in one place, and by a scale, which shape alone does not determine."""
         fused.append(swept)
         surface = np.float32(1.01 * scene["depth"])
         surface[mirror] -= 20 * gsd
-        return front_end.FusedOnce(surface, surface + 5 * gsd, np.full_like(surface, gsd))
+        return station_sweep.FusedOnce(surface, surface + 5 * gsd, np.full_like(surface, gsd))
 
     first, second = (sweep_station(scene, placed, tmp_path, options, fuse) for _ in range(2))
     assert len(fused) == 2
@@ -198,7 +198,7 @@ def test_few_masks_make_no_hull_and_leave_the_sweep(
     _core.write_png(str(mask), np.full((HEIGHT, WIDTH), 255, np.uint8))
     photos = [(replace(photo, mask=mask), camera) for photo, camera in placed.photos[:3]]
     told: list[str] = []
-    swept = front_end.sweep_station(
+    swept = station_sweep.sweep_station(
         replace(placed, photos=photos), scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path / "work",
         options=malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40}), threads=1, progress=lambda *_: None,
         log=lambda level, message: told.append(message),
@@ -239,8 +239,8 @@ def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path
     cameras = StationCameras(station, photos, nothing, {}, {}, silhouettes=silhouettes)
     told: list[str] = []
 
-    def swept() -> front_end.Swept:
-        return front_end.sweep_station(
+    def swept() -> station_sweep.Swept:
+        return station_sweep.sweep_station(
             cameras, np.full((HEIGHT, WIDTH), 0.5, np.float32), np.where(np.isfinite(truth), np.uint8(255), np.uint8(0)),
             tmp_path / "work", options=malus.Options(), threads=1, progress=lambda *_: None,
             log=lambda level, message: told.append(message), fuse=lambda _: pytest.fail("nothing to sweep about"),

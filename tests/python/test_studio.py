@@ -25,9 +25,9 @@ import pytest
 
 from conftest import EXAMPLE
 from malus import Camera, DataError, InputError, Station, _core
-from malus.figures import encode
 from malus.options import Options
 from malus.photogrammetry.model import SparseModel
+from malus.pictures import encode
 from studio_browser import (
     PATIENCE_MS,
     RUN_MS,

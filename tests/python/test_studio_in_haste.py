@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from malus.figures import encode
+from malus.pictures import encode
 from studio_browser import (
     Served,
     brought,

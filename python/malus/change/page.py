@@ -9,10 +9,12 @@ from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
 from malus.columns import plain
-from malus.exports import Exporter
-from malus.figures import Figure, Plates, encode, flattened, gray, hillshade
+from malus.exports.exporter import Exporter
+from malus.figures import Figure, Plates
 from malus.lengths import scale_bar, shown
 from malus.pages import template
+from malus.pictures import encode
+from malus.relief import flattened, gray, hillshade
 from malus.units import METERS
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from malus._extra import extra
 from malus.change.significance import Distances
-from malus.exports import Exporter
+from malus.exports.exporter import Exporter
 from malus.units import METERS
 
 

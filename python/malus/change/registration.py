@@ -18,10 +18,10 @@ from malus._extra import extra
 from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError
-from malus.exports import Exporter
-from malus.figures import flattened, hillshade, reduced, step_for
+from malus.exports.exporter import Exporter
 from malus.options import Options
-from malus.raster import sample
+from malus.raster import reduced, sample, step_for
+from malus.relief import flattened, hillshade
 
 Floats = NDArray[np.float64]
 #: Side of the blocks of pixels that are classified as stable or changed, and the distance from the median, in robust standard

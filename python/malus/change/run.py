@@ -20,7 +20,7 @@ from malus.change.registration import Registration, register
 from malus.change.significance import Distances, measure
 from malus.columns import csv_text, plain
 from malus.errors import InputError
-from malus.exports import Exporter
+from malus.exports.exporter import Exporter
 from malus.lengths import shown
 from malus.surface import Dem, write_dem
 from malus.threads import ALL_CORES

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from malus import m3c2
 from malus.change.registration import Registration
 from malus.errors import DataError
-from malus.exports import Exporter
-from malus.figures import reduced
+from malus.exports.exporter import Exporter
 from malus.prior import project_mesh
-from malus.raster import sample_known
+from malus.raster import reduced, sample_known
 
 Floats = NDArray[np.float32]
 #: Standard deviations that a change must exceed (95 %).

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._files import write_bytes
-from malus.figures import encode
 from malus.object.texture import TexturedMesh
+from malus.pictures import encode
 from malus.units import METERS
 
 _QUALITY = 92

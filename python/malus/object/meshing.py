@@ -29,6 +29,8 @@ _SPACING_NEIGHBOR = 2
 _FILES = ("points.ply", "poisson.ply")
 #: Connected parts with a smaller share of the triangles are dropped.
 _LEAST_PIECE = 0.005
+#: Most triangles of a mesh that is simplified as a whole.
+MOST_TO_SIMPLIFY = 4_000_000
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from PIL.PngImagePlugin import PngImageFile
 
 from malus import _core
 from malus._files import write_bytes, write_text
-from malus.figures import encode
 from malus.lengths import scale_bar, shown, sides
 from malus.object.agreement import Agreement
 from malus.object.arrays import chunks
@@ -26,6 +25,7 @@ from malus.object.reference import Comparison
 from malus.object.texture import NearestVertices, TexturedMesh
 from malus.object.views import View, sees
 from malus.pages import base64_text, template
+from malus.pictures import encode
 from malus.units import METERS
 from malus.viewer import pack
 

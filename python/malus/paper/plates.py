@@ -8,20 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from malus.figures import (
-    LETTERS_PT,
-    WIDTH_IN,
-    Figure,
-    Plates,
-    color_bar,
-    flattened,
-    gray,
-    hillshade,
-    names_in_picture,
-    new_drawing,
-    style,
-)
+from malus.figures import Figure, Plates
+from malus.figures.drawing import LETTERS_PT, WIDTH_IN, color_bar, names_in_picture, new_drawing, style, tag
 from malus.lengths import shown
+from malus.relief import flattened, gray, hillshade
 from malus.workspace import Raster
 
 #: Tilt of the object in oblique views, and the step between two rows, in pixels, above which the wall between them is not drawn.
@@ -125,7 +115,7 @@ def patch_boxes(plates: Plates) -> Iterator[Figure]:
         size = ((u1 - u0 + 1) / plates.step, (v1 - v0 + 1) / plates.step)
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="white", lw=3))
         axes.add_patch(Rectangle(corner, *size, fill=False, ec="#d1495b", lw=1.6))
-        plates.tag(axes, corner, name)
+        tag(axes, corner, name)
     yield plates.figure(
         "patch_boxes", "Flat patches", "Where the distances to planes are measured." + said,
         drawing, ["patch", "u0_px", "v0_px", "u1_px", "v1_px"], rows,

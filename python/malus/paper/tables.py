@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus.columns import aligned, csv_text, decimals
-from malus.figures import numbers
+from malus.figures.profiles import numbers
 from malus.workspace import Raster, Workspace
 
 #: Names of the surfaces in quality.json → names in the paper.

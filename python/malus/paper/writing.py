@@ -9,10 +9,11 @@ from pathlib import Path
 from malus import _core
 from malus._files import write_bytes, write_text
 from malus.errors import InputError
-from malus.figures import Figure, Plates, encode
+from malus.figures import Figure, Plates, histograms, maps, profiles
 from malus.paper import plates as own
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.tables import SURFACES, WORDS, Table, table_1, table_2
+from malus.pictures import encode
 from malus.workspace import Workspace
 
 TABLES = ("table_1", "table_2")
@@ -27,16 +28,16 @@ def _numbered(plates: Plates) -> Iterator[tuple[str, Figure]]:
     quality = plates.quality
     groups: list[tuple[str, Iterator[Figure]]] = [
         ("01c", own.sinusoids(plates)),
-        ("05", plates.polarization()),
-        ("06", plates.height()),
-        ("08", plates.elevations()),
+        ("05", maps.polarization(plates)),
+        ("06", maps.height(plates)),
+        ("08", maps.elevations(plates)),
         ("09", own.cloud(plates)),
-        ("10", plates.shadings()),
+        ("10", maps.shadings(plates)),
         ("10", own.views(plates)),
-        ("11", iter([plates.profile_lines()] if quality["profiles"] else [])),
-        ("12", plates.profiles()),
+        ("11", iter([profiles.profile_lines(plates)] if quality["profiles"] else [])),
+        ("12", profiles.profiles(plates)),
         ("14", own.patch_boxes(plates)),
-        ("15", plates.patches()),
+        ("15", histograms.patches(plates)),
     ]
     for number, figures in groups:
         for figure in figures:

@@ -6,19 +6,12 @@ COLMAP (Debian's 3.8, or pycolmap 4.2 or later) finds the cameras in a child pro
 """
 
 from malus.photogrammetry.folder import exclusive
-from malus.photogrammetry.front_end import (
-    FusedOnce,
-    Outline,
-    StationCameras,
-    Swept,
-    find_cameras,
-    find_object_cameras,
-    sweep_station,
-)
+from malus.photogrammetry.front_end import Outline, StationCameras, find_cameras, find_object_cameras
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import RegisteredImage, SparseModel
 from malus.photogrammetry.photos import Photo, list_photos
 from malus.photogrammetry.plan import plan
+from malus.photogrammetry.station_sweep import FusedOnce, Swept, sweep_station
 
 __all__ = [
     "FusedOnce",

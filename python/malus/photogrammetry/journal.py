@@ -114,6 +114,15 @@ class Journal:
         kept: dict[str, Any] = done["notes"]
         return kept
 
+    def total_times(self) -> dict[str, Any]:
+        """`seconds`, `cpu_seconds` and `peak_mb` of all stages together, and of each stage (`stages`)."""
+        stages = self.times.values()
+        return {
+            **{name: round(sum(stage[name] for stage in stages), 2) for name in ("seconds", "cpu_seconds")},
+            "peak_mb": max((stage["peak_mb"] for stage in stages), default=0.0),
+            "stages": self.times,
+        }
+
     def _states(self, outputs: Sequence[str]) -> dict[str, int | str]:
         states: dict[str, int | str] = {}
         for output in outputs:

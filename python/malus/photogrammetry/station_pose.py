@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -189,3 +189,8 @@ def _check_lens(model: SparseModel, image: str, station: StationView) -> None:
 def lens_of_raster(lens: Camera) -> Camera:
     """The lens of a station's undistorted raster, in one of COLMAP's models, without pose."""
     return Camera("PINHOLE", lens.width, lens.height, lens.undistorted().params)
+
+
+def placed_at(lens: Camera, camera: Camera) -> Camera:
+    """A lens with the pose of another camera."""
+    return replace(lens, rotation=camera.rotation, translation=camera.translation)

@@ -15,9 +15,10 @@ from malus import _core
 from malus._extra import extra
 from malus._files import read_regular, write_bytes
 from malus.errors import DataError, InputError
-from malus.figures import data_url, encode, step_for
 from malus.options import Options
 from malus.overlay import nearest_points
+from malus.pictures import data_url, encode
+from malus.raster import step_for
 from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import colored, displayed, distorting
 

@@ -19,7 +19,8 @@ from malus._files import reading
 from malus.camera import Camera
 from malus.capture import undistort
 from malus.errors import InputError
-from malus.figures import encode, reduced, step_for
+from malus.pictures import encode
+from malus.raster import reduced, step_for
 from malus.threads import ALL_CORES
 
 #: Percentile of the pixels that is shown white.

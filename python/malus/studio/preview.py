@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from malus import evidence, polarization
 from malus.capture import linearize
 from malus.errors import InputError
-from malus.figures import data_url, reduced, step_for
+from malus.pictures import data_url
+from malus.raster import reduced, step_for
 from malus.studio.pictures import colored, linear_or_encoded
 
 #: Long side of the previews.

@@ -10,7 +10,9 @@ import numpy as np
 from malus import assess
 from malus._files import shortened
 from malus.errors import DataError, InputError, MalusError
-from malus.figures import data_url, encode, gray, hillshade, reduced, step_for
+from malus.pictures import data_url, encode
+from malus.raster import reduced, step_for
+from malus.relief import gray, hillshade
 from malus.studio.access import Root
 from malus.studio.folders import below
 from malus.studio.pictures import colored

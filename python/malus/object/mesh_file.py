@@ -1,0 +1,50 @@
+"""mesh.ply of an object: the full mesh with sigma and colors, and which stations see each part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from malus.object.arrays import GrowingArray, chunks
+from malus.object.color import Paint
+from malus.object.meshing import ObjectMesh
+from malus.object.ply import columns, write_ply
+from malus.object.views import Floats, may_see, sees
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Shares of the surface that each station sees, and that no other station sees."""
+
+    seen: Floats
+    alone: Floats
+
+
+def write_mesh(path: Path, mesh: ObjectMesh, paint: Paint, said: Mapping[str, str], scratch: Path) -> Coverage:
+    """Write the mesh as PLY, with `said` as comments; returns what the stations see of it."""
+    colors, stations = GrowingArray(scratch / "colors", np.uint8, 3), GrowingArray(scratch / "stations", np.uint8)
+    seen, alone = np.zeros(len(paint.views)), np.zeros(len(paint.views))
+    total = 0.0
+    for rows in chunks(len(mesh.vertices)):
+        points, normals = mesh.vertices[rows], mesh.normals[rows]
+        by = np.zeros((len(paint.views), len(points)), bool)
+        for k in may_see(paint.views, points):
+            by[k] = sees(paint.views[k], points, normals)
+        colors.add(paint.srgb(points, normals))
+        stations.add(np.minimum(by.sum(0), 255))  # a byte in the file
+        share = mesh.shares(rows)
+        seen += by @ share
+        alone += (by & (by.sum(0) == 1)) @ share
+        total += float(share.sum())
+    # Coordinates far from the origin need more than single precision.
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    far = np.maximum(-low, high).max() > 1e4 * (high - low).max() / 1e3
+    values = columns("xyz", mesh.vertices, "f8" if far else "f4")
+    values |= columns(("nx", "ny", "nz"), mesh.normals, "f4")
+    values |= columns(("red", "green", "blue"), colors.array(), "u1")
+    values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations.array(), "u1")}
+    write_ply(path, values, mesh.triangles, *(f"{key}: {words}" for key, words in said.items()))
+    return Coverage(seen / total, alone / total)
