@@ -74,7 +74,7 @@ std::optional<Pose> read_pose(const TomlTable& table) {
 }
 
 void read_colmap_camera(const TomlTable& table, StationFile& station) {
-  refuse(table, joined({lens_keys, pose_keys}), "cannot be given together with colmap_model");
+  refuse(table, joined({lens_keys, brown_keys, pose_keys}), "cannot be given together with colmap_model");
   const auto folder = table.resolve("colmap_model", *table.text("colmap_model"));
   const std::string name = table.required(table.text("image"), "image", "the station's image name in the COLMAP model");
   if (!std::filesystem::is_directory(folder))

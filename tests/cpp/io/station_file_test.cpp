@@ -385,6 +385,8 @@ TEST_F(StationFileTest, ReadsACameraFromAColmapModel) {
   rejects(sections, "[camera].image", "is missing");
   sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"station.jpg\"\nwidth = 12\n";
   rejects(sections, "[camera].width", "together with colmap_model");
+  sections.camera = "[camera]\ncolmap_model = \"sparse\"\nimage = \"station.jpg\"\nk1 = -0.1\n";
+  rejects(sections, "[camera].k1", "together with colmap_model");
 }
 
 TEST_F(StationFileTest, ReadsAPhotogrammetricCamera) {
