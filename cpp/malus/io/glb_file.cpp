@@ -26,7 +26,7 @@ constexpr int jpeg_quality = 92;
 // Numbers of the glTF 2.0 specification.
 constexpr int type_float = 5126, type_uint = 5125, target_vertices = 34962, target_indices = 34963;
 constexpr int wrap_clamp = 33071, filter_linear = 9729, filter_mipmap = 9987;
-constexpr std::uint32_t magic = 0x46546C67, format_version = 2, chunk_json = 0x4E4F534A, chunk_binary = 0x004E4942;
+constexpr std::uint32_t glb_magic = 0x46546C67, format_version = 2, chunk_json = 0x4E4F534A, chunk_binary = 0x004E4942;
 
 /// The binary part of the file and the description of its sections. Sections are made only when they are written,
 /// because together they are larger than the mesh.
@@ -219,7 +219,7 @@ void write_glb(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   AtomicFile file(path);
   file.expect(total);
   const auto put = [&](std::uint32_t value) { file.write(&value, sizeof value); };
-  put(magic);
+  put(glb_magic);
   put(format_version);
   put(static_cast<std::uint32_t>(total));
   put(static_cast<std::uint32_t>(json.size()));
