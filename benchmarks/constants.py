@@ -64,8 +64,7 @@ MAP_IS_TAKEN = "surroundings_course.cpp:enough_samples=0.25,model_choice.cpp:cle
 GRID = ["--fusion", "grid", "--set", "optimize.enabled=true"]
 OF_KIND = {
     "map": ("surroundings", "finishes", "same_normals", "self_mirroring", "refine.surroundings"),
-    "index": ("index_search", "refine.correct_index", "reflection_fit.cpp:largest_count", "reflection_fit.cpp:largest_sigma",
-              "reflection_fit.cpp:error_of_model", "reflection_fit.cpp:clear_scatters"),
+    "index": ("index_search", "refine.correct_index", "index_fit"),
 }  # fmt: skip
 OF_SWEPT = (
     "swept_prior.cpp:stride",

@@ -9,7 +9,7 @@
 #include <string>
 
 #include "malus/io/glb_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 
 using namespace malus;
 

@@ -8,7 +8,7 @@
 #include "interruptible.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/io/glb_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
 #include "malus/surface/mesh.h"

@@ -22,7 +22,7 @@
 #include "malus/fusion/refine_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/io/glb_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/linalg/grid_solver_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/reflection_internal.h"

@@ -114,6 +114,7 @@ def test_modules_do_not_import_each_other_in_circles() -> None:
 #: Sources that call OpenCV without an OpenCvThreads of their own, and why.
 OPENCV_THREADS_OF_OTHERS = {
     "capture/contrast_band.cpp": "held by registration.cpp",
+    "capture/registration_level.cpp": "held by registration.cpp",
     "evidence/reduced_view.cpp": "held by prior_alignment.cpp",
     "evidence/smoothing.cpp": "held by prior_alignment.cpp",
     "io/resection.cpp": "few points, on the calling thread",

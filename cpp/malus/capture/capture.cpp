@@ -3,6 +3,7 @@
 #include <map>
 #include <utility>
 
+#include "malus/capture/affine_displacement_internal.h"
 #include "malus/capture/alike_images_internal.h"
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/mosaic_internal.h"

@@ -36,19 +36,6 @@ struct ImageRegistration {
   MALUS_FIELDS(status, message, image_from_base, displacement_px, rms_px)
 };
 
-/// What a search for the places of all images tells of one of them.
-struct RegistrationFigures {
-  double texture = 0;          ///< share of the contrast that all images have in common at the places found
-  double unmoved_texture = 0;  ///< the same without any move; 0 = not computed, as the moves are not in doubt
-  double similarity = 0;       ///< regression of the image on the others, 1 = alike
-  double last_step_px = 0;     ///< of the search
-};
-
-/// Sets the status, and the message on why a displacement is not reliable; such an image gets the identity. `result`
-/// has the map, the displacement and its standard deviation that the search found.
-void judge_registration(ImageRegistration& result, const RegistrationFigures& figures, Size size,
-                        const RegistrationOptions& options);
-
 /// Registers linear images of one size to the first, by 6-parameter affine maps, all together.
 ///
 /// Images are compared by their contrast in a band of scales: b_k = (G_fine − G_coarse) I_k / G_coarse I_k. Coarse to
@@ -62,8 +49,5 @@ void judge_registration(ImageRegistration& result, const RegistrationFigures& fi
 /// Input error when sizes differ. An image that cannot be registered has a status, the identity and a message.
 std::vector<ImageRegistration> register_images(const std::vector<Image<float>>& images, const NoiseModel& noise,
                                                const RegistrationOptions& options, const Context& context);
-
-/// RMS displacement of an affine map from another over corners and center of an image [px].
-double affine_distance_px(const Affine& a, const Affine& b, Size size);
 
 }  // namespace malus

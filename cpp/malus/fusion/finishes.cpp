@@ -5,7 +5,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/square_internal.h"
 #include "malus/fusion/finishes_internal.h"
-#include "malus/fusion/reflection_fit_internal.h"
+#include "malus/fusion/reflection_sample_internal.h"
 
 namespace malus {
 namespace {

@@ -94,10 +94,10 @@ class CellMean final : public ceres::CostFunction {
 enum class TileOutcome { converged, still_changing, unsolved };
 
 /// One tile of the problem.
-class Tile {
+class GridTile {
  public:
-  Tile(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
-       const OptimizeInput& input, const OptimizeOptions& options, const PixelRect& box)
+  GridTile(const Image<float>& heights, const Image<float>& prior_heights, const Pinhole* camera,
+           const OptimizeInput& input, const OptimizeOptions& options, const PixelRect& box)
       : heights_(heights),
         prior_heights_(prior_heights),
         camera_(camera),
@@ -249,7 +249,7 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
   const TiledImage tiled(heights.size(), tile_px, margin_px);
   const int tiles = tiled.tiles();
   Image<float> result(heights.size(), 1, 0.0F);
-  std::vector<std::unique_ptr<Tile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
+  std::vector<std::unique_ptr<GridTile>> group(static_cast<std::size_t>(std::max(context.threads, 1)));
   std::vector<TileOutcome> outcomes(group.size());
   counts.all = tiles;
   for (int first = 0; first < tiles; first += static_cast<int>(group.size())) {
@@ -259,7 +259,7 @@ Image<float> solve_tiles(const Image<float>& heights, const Image<float>& prior_
       const int tile = first + static_cast<int>(i);
       group[i].reset();
       if (tile >= tiles) return;
-      group[i] = std::make_unique<Tile>(heights, prior_heights, camera, input, options, tiled.box(tile));
+      group[i] = std::make_unique<GridTile>(heights, prior_heights, camera, input, options, tiled.box(tile));
       outcomes[i] = group[i]->solve(context);
     });
     for (std::size_t i = 0; i < group.size(); ++i) {

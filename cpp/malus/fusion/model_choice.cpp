@@ -4,9 +4,10 @@
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
+#include "malus/fusion/index_fit_internal.h"
 #include "malus/fusion/model_choice_internal.h"
-#include "malus/fusion/reflection_fit_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
+#include "malus/fusion/reflection_sample_internal.h"
 #include "malus/fusion/self_mirroring_internal.h"
 #include "malus/polarization/reflection_internal.h"
 

@@ -4,10 +4,13 @@
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
+#include "malus/fusion/diffuse_fit_internal.h"
 #include "malus/fusion/refinement_internal.h"
-#include "malus/fusion/reflection_fit_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
+#include "malus/fusion/reflection_sample_internal.h"
+#include "malus/fusion/shading_fit_internal.h"
 #include "malus/fusion/shading_internal.h"
+#include "malus/fusion/specular_fit_internal.h"
 
 namespace malus {
 namespace {

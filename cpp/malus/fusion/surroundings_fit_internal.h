@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "malus/core/context.h"
-#include "malus/fusion/reflection_fit_internal.h"
+#include "malus/fusion/reflection_sample_internal.h"
 #include "malus/fusion/surroundings_internal.h"
 
 namespace malus {

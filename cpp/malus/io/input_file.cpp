@@ -2,6 +2,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cerrno>
 #include <cstring>
 #include <nlohmann/json.hpp>
@@ -24,6 +25,11 @@ void split_words(std::string_view line, std::vector<std::string_view>& words, st
     words.push_back(line.substr(at, end - at));
     at = end;
   }
+}
+
+std::string in_lower_case(std::string text) {
+  std::ranges::transform(text, text.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
 }
 
 bool is_comment(std::string_view line, std::initializer_list<std::string_view> marks) {
@@ -144,6 +150,11 @@ LargeVector<char> read_bytes(const std::filesystem::path& path, const std::strin
   LargeVector<char> bytes(file.size());
   file.read(bytes.data(), bytes.size());
   return bytes;
+}
+
+Error malformed_line(const InputFile& file, std::string_view line, const std::string& expected) {
+  return file.error("line " + std::to_string(file.line_number()) + " = \"" + std::string(line.substr(0, 60)) +
+                    "\", expected " + expected);
 }
 
 }  // namespace malus

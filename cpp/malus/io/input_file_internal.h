@@ -46,6 +46,9 @@ inline bool parse_number(std::string_view word, double& value) {
 /// Replaces `words` by those of a line.
 void split_words(std::string_view line, std::vector<std::string_view>& words, std::string_view separators = " \t,;");
 
+/// The text with its capital letters replaced by small ones.
+std::string in_lower_case(std::string text);
+
 /// Whether a line is blank, or begins, after blanks, with one of the marks.
 bool is_comment(std::string_view line, std::initializer_list<std::string_view> marks);
 
@@ -98,5 +101,11 @@ class InputFile {
   std::size_t begin_ = 0, end_ = 0;
   std::string line_;
 };
+
+/// Records or lines of a large file that are read between two looks whether the run is canceled.
+inline constexpr std::uint64_t records_between_checks = 1 << 16;
+
+/// Input error on the line of a file that was read last.
+Error malformed_line(const InputFile& file, std::string_view line, const std::string& expected = "numbers");
 
 }  // namespace malus

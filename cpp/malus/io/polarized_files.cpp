@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cmath>
 #include <optional>
 #include <set>
@@ -33,9 +32,7 @@ std::string_view take_digits(std::string_view& text) {
 }
 
 bool has_suffix(const std::filesystem::path& path, std::span<const std::string_view> suffixes) {
-  std::string suffix = path.extension().string();
-  std::transform(suffix.begin(), suffix.end(), suffix.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const std::string suffix = in_lower_case(path.extension().string());
   const bool hidden = path.filename().string().starts_with('.');
   return !hidden && std::ranges::find(suffixes, suffix) != suffixes.end();
 }

@@ -12,7 +12,7 @@
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/io/glb_file_internal.h"
-#include "malus/io/point_cloud_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/prior/project_prior_internal.h"

@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "capture/scenes.h"
+#include "malus/capture/affine_displacement_internal.h"
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/noise_internal.h"
 #include "thrown_error.h"

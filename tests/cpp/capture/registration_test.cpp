@@ -3,7 +3,9 @@
 #include <random>
 
 #include "capture/scenes.h"
+#include "malus/capture/affine_displacement_internal.h"
 #include "malus/capture/registration_internal.h"
+#include "malus/capture/registration_verdict_internal.h"
 #include "thrown_error.h"
 
 namespace malus {

@@ -12,6 +12,7 @@
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
+#include "malus/fusion/shading_fit_internal.h"
 #include "malus/fusion/shading_internal.h"
 #include "malus/fusion/surroundings_course_internal.h"
 #include "malus/fusion/surroundings_fit_internal.h"

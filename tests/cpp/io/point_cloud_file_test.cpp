@@ -5,6 +5,7 @@
 #include <random>
 
 #include "malus/io/input_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "shared_data.h"
 #include "temporary_folder.h"

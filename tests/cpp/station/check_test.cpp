@@ -10,6 +10,7 @@
 
 #include "io/temporary_folder.h"
 #include "malus/io/image_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/station/check_picture_internal.h"
 #include "malus/station/prior_scale_internal.h"
 #include "malus/station/reconstruct.h"

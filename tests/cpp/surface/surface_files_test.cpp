@@ -12,6 +12,7 @@
 #include "malus/io/glb_file_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
+#include "malus/io/ply_writer_internal.h"
 #include "malus/io/point_cloud_file_internal.h"
 #include "malus/surface/dem_internal.h"
 #include "malus/surface/display_image_internal.h"
