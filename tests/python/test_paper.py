@@ -24,6 +24,7 @@ from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
 from malus.figures import Plates, histograms, maps, profiles
+from malus.figures.drawing import tag
 from malus.paper import writing
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
@@ -481,7 +482,7 @@ def test_names_in_pictures_do_not_cover_what_they_name() -> None:
     axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
     places = [(380, 151), (365, 5)]
     for place in places:
-        drawing.tag(axes, place, "field $1_$")  # no formula, which would be a wrong one
+        tag(axes, place, "field $1_$")  # no formula, which would be a wrong one
     FigureCanvasAgg(drawing).draw()
     for text, place in zip(axes.texts, places, strict=True):
         box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)
