@@ -93,16 +93,20 @@ double trust_of_gain(double gain) {
 }
 
 /// Returns the surface to the prior where it is farther from the prior than the prior's errors allow, for example where
-/// the search for other minima took a wrong one. Errors of clouds can be twice as large as stated, above all at
-/// silhouettes.
-void stay_near_prior(Refinement& refinement, const Image<double>& x_prior) {
-  constexpr double allowed = 3, too_far = 5;
+/// the search for other minima took a wrong one. A surface that is better than its prior differs from it by the prior's
+/// errors: by one standard deviation, if this contains all errors, as a stated one of a mesh or a depth map does (with a
+/// margin, because errors are larger in some places). That of a cloud does not contain the detail that its smoothing
+/// removed, and its errors can be twice as large as stated, above all at silhouettes.
+void stay_near_prior(const DepthPrior& prior, Refinement& refinement, const Image<double>& x_prior) {
+  constexpr double allowed = 3, too_far = 5, allowed_of_all = 1.5, too_far_of_all = 2.5;
+  const bool has_all_errors = prior.smoothing_px == 0;
+  const double least = has_all_errors ? allowed_of_all : allowed, most = has_all_errors ? too_far_of_all : too_far;
   RefinementImage& image = refinement.image;
   Image<std::uint8_t>& trust = refinement.report.trust;
   const Image<float> deviations = deviations_from_prior(image, x_prior, refinement.context);
   parallel_pixels(refinement.context, image.object, [&](int u, int v) {
     const double deviation = between_cells(deviations, ExplainedPolarization::cell_px, u, v);
-    const double kept = 1 - ramp(deviation, allowed, too_far);
+    const double kept = 1 - ramp(deviation, least, most);
     image.x(u, v) = x_prior(u, v) + kept * (image.x(u, v) - x_prior(u, v));
     trust(u, v) = static_cast<std::uint8_t>(std::lround(kept * trust(u, v)));
   });
@@ -144,7 +148,7 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
                   context);
   // Assumed errors say nothing, and those of shapes and hulls are systematic.
   const bool is_stated = prior.noise > 0 && !prior.assumes_sigma && prior.hull_fraction <= 0.5;
-  if (prior.smoothing_px > 0 || is_stated) stay_near_prior(refinement, x_prior);
+  if (prior.smoothing_px > 0 || is_stated) stay_near_prior(prior, refinement, x_prior);
   // Pixels without usable polarization follow their neighbors, and are not counted as evidence.
   report.trusted_share = mean_over(image.usable, [&](int u, int v) { return report.trust(u, v) / 255.0; });
   report.explained_beyond_plane = refinement.mean_over_object(beyond_plane);

@@ -126,6 +126,22 @@ TEST(Evidence, IsWeighedRegionByRegion) {
             1.05 * rms_of_columns(station.prior.depth, station.truth, border + far, 392));
 }
 
+/// A surface that is far from a depth map, in its stated standard deviations, is not better than the map.
+TEST(Evidence, SurfacesStayAsNearToADepthMapAsItsStatedErrorsAllow) {
+  SyntheticStation station = make_station(scene_under_a_sky());
+  const auto error = [&](const Image<float>& depth) { return rms_of_columns(depth, station.truth, 8, 152); };
+  const double of_prior = error(station.prior.depth);
+  const auto with_sigma = [&](double sigma_gsd) {
+    const double sigma = sigma_gsd * station_gsd_mm;
+    station.prior.noise = sigma;
+    station.prior.spacing_px = 4;
+    station.prior.sigma = Image<float>(station.prior.depth.size(), 1, static_cast<float>(sigma));
+    return error(refine(station.state, station.prior, diffuse, quick(), Context{}).surface.depth);
+  };
+  EXPECT_LT(with_sigma(1.2 * of_prior), 0.75 * of_prior);
+  EXPECT_GT(with_sigma(of_prior / 3), 0.95 * of_prior);
+}
+
 /// The image as a diffuse body under the scene's light.
 RefinementField diffuse_field(RefinementImage& image) {
   image.kind.fill(Reflection::diffuse);
