@@ -24,7 +24,8 @@ def matching(folder: Path, pattern: str, where: str) -> list[Path]:
     names = _counted(where)
     for part in Path(pattern).parts:
         found = list(dict.fromkeys(path for place in found for path in _step(place, part, names)))
-    return [path for path in found if path.exists()]
+    # os.path, unlike Path, answers "no" for names that are too long and for folders that may not be read.
+    return [path for path in found if os.path.exists(path)]
 
 
 def _counted(where: str) -> Iterator[None]:
@@ -41,7 +42,7 @@ def _step(place: Path, part: str, names: Iterator[None]) -> Iterator[Path]:
         while left:
             inside = list(_entries(left.pop(), part, names))
             yield from inside
-            left += [path for path in inside if path.is_dir()]
+            left += [path for path in inside if os.path.isdir(path)]
     elif glob.has_magic(part):
         yield from (path for path in _entries(place, part, names) if fnmatchcase(path.name, part))
     else:

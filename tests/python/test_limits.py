@@ -295,6 +295,12 @@ def test_patterns_of_campaigns_find_what_a_shell_finds(tmp_path: Path) -> None:
     assert matching(tmp_path, str(tmp_path / "a" / "*.toml"), "here") == [tmp_path / "a/station.toml"]
 
 
+def test_patterns_pass_over_what_cannot_be_looked_at(tmp_path: Path) -> None:
+    """A name that is too long, like one in a folder without permission, ended with an error of its own."""
+    (tmp_path / "a").mkdir()
+    assert matching(tmp_path, "*/" + "n" * 300, "here") == []
+
+
 @pytest.mark.usefixtures("within_a_minute")
 @pytest.mark.parametrize("pattern", ["*/../*/../*/../*/x", "**/**/**/x", "/**/x", "*/" * 2000, "\\u0000", "**/\\u0000"])
 def test_patterns_of_campaigns_end_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str) -> None:
