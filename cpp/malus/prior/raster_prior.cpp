@@ -54,13 +54,13 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   how.tension_px = options.tension_spacings;
   how.edge_tolerance = options.edge_tolerance;
   const SmoothedCloud surface = smooth_cloud(std::move(points), region, how, options, context);
-  const cv::Mat from_rim = distance_from_known(prior.depth);
+  const Image<float> from_rim = distance_from_known(prior.depth);
   parallel_pixels(context, holes, [&](int u, int v) {
     const double depth = reference * std::exp((surface.height(u, v) + plane.at(u, v)) / focal), gsd = depth / focal;
     prior.depth(u, v) = static_cast<float>(depth);
     prior.sigma(u, v) = static_cast<float>(std::hypot(raster_sigma(depth, focal, options),
                                                       surface.noise * std::sqrt(surface.variance(u, v)) * gsd,
-                                                      options.hole_slope * gsd * from_rim.at<float>(v, u)));
+                                                      options.hole_slope * gsd * from_rim(u, v)));
   });
   prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
@@ -87,10 +87,11 @@ Mask missing_in(const Image<float>& depth) {
   return missing;
 }
 
-cv::Mat distance_from_known(const Image<float>& depth) {
+Image<float> distance_from_known(const Image<float>& depth) {
   const Mask missing = missing_in(depth);
-  cv::Mat distance;
-  cv::distanceTransform(as_mat(missing), distance, cv::DIST_L2, cv::DIST_MASK_PRECISE);
+  Image<float> distance(depth.size());
+  cv::Mat pixels = as_mat(distance);
+  cv::distanceTransform(as_mat(missing), pixels, cv::DIST_L2, cv::DIST_MASK_PRECISE);
   return distance;
 }
 

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <opencv2/core.hpp>
 #include <string>
 
 #include "malus/core/camera.h"
@@ -25,7 +24,7 @@ DepthPrior empty_prior(const Pinhole& camera, const Pose& pose);
 Mask missing_in(const Image<float>& depth);
 
 /// Distance of each pixel from the nearest one that has a depth, in px.
-cv::Mat distance_from_known(const Image<float>& depth);
+Image<float> distance_from_known(const Image<float>& depth);
 
 /// Prior of a depth raster in the station view; `source` names it in messages. Object pixels without a depth are filled
 /// by a spline through their surroundings. Throws a data error if fewer than `min_points` of the object's pixels have a

@@ -114,7 +114,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   of_windows.keep_raised = false;
   of_windows.hole_slope = 0;  // holes are those of the map, below
   DepthPrior prior = prior_of_cloud(cloud, Points::of_windows, camera, pose, mask, of_windows, context);
-  const cv::Mat distance = distance_from_known(depth);
+  const Image<float> distance = distance_from_known(depth);
   prior.filled_fraction = measured.filled_fraction;
   prior.hull_fraction = measured.hull_fraction;
   if (is_hull) prior.smoothing_px = 0;
@@ -128,7 +128,7 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
       return;
     }
     const double gsd = prior.depth(u, v) / camera.focal();
-    value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance.at<float>(v, u)));
+    value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance(u, v)));
   });
   return prior;
 }
