@@ -5,7 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <ranges>
+#include <span>
 #include <sstream>
 
 #include "malus/core/pixel_rect_internal.h"
@@ -178,8 +178,8 @@ Eigen::Vector2d LensCamera::undistort(const Eigen::Vector2d& pixel) const {
 }
 
 bool LensCamera::has_distortion() const {
-  const auto is_not_zero = [](double parameter) { return parameter != 0; };
-  return std::ranges::any_of(params | std::views::drop(entry(model).undistorted), is_not_zero);
+  const std::size_t undistorted = std::min<std::size_t>(entry(model).undistorted, params.size());
+  return std::ranges::any_of(std::span(params).subspan(undistorted), [](double parameter) { return parameter != 0; });
 }
 
 void LensCamera::validate(const std::string& where) const {

@@ -2,7 +2,6 @@
 #include <cmath>
 #include <limits>
 #include <optional>
-#include <ranges>
 #include <utility>
 #include <vector>
 
@@ -176,7 +175,8 @@ StationMeans station_means(std::span<const ObjectView> views, std::size_t which,
   std::vector<MeansOfBlock> blocks((pixels + points_in_a_block - 1) / points_in_a_block);
   parallel_for(context, pixels, points_in_a_block, [&](std::size_t begin, std::size_t end) {
     const std::vector<Place> places = places_of(view, begin, end);
-    const Eigen::AlignedBox3d box = box_of(places | std::views::transform(&Place::point));
+    Eigen::AlignedBox3d box;
+    for (const Place& place : places) box.extend(place.point);
     std::vector<OtherView> near = others;
     std::erase_if(near, [&](const OtherView& other) { return !may_see(*other.view, box); });
     MeansOfBlock& block = blocks[begin / points_in_a_block];

@@ -81,13 +81,14 @@ Json section_to_json(const Section& section) {
 template <class Section>
 void section_from_json(Section& section, const Json& json, const std::string& name) {
   if (!json.is_object()) throw input_error("option section " + name + " = " + json.dump() + ", expected a table");
-  for (const auto& [key, value] : json.items()) {
+  for (const auto& item : json.items()) {
+    const std::string& key = item.key();
     std::vector<std::string_view> known;
     bool found = false;
     Section::fields(section, [&](std::string_view field, auto& target, Range, std::string_view) {
       known.emplace_back(field);
       if (field == key) {
-        option_from_json(target, value, name + "." + key);
+        option_from_json(target, item.value(), name + "." + key);
         found = true;
       }
     });

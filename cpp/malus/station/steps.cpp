@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <ranges>
 
 #include "malus/station/step_functions_internal.h"
 
@@ -168,7 +167,8 @@ std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Stat
   }
   // From the last step back: those that are wanted for themselves or by a later step.
   std::vector<const Step*> wanted;
-  for (const Step* step : std::views::reverse(possible)) {
+  std::ranges::reverse(possible);
+  for (const Step* step : possible) {
     const bool for_itself = until ? step->name == *until : step->on_its_own(options);
     const bool for_another = std::ranges::any_of(wanted, [&](const Step* reader) {
       return std::ranges::any_of(reader->reads, [&](const Read& read) {
