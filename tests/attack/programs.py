@@ -51,8 +51,8 @@ NOBODY = 65534
 KILLS_TOLD = 25
 #: Files that say when or where something was done and so differ from run to run.
 NOT_COMPARED = ("manifest.json", ".lock")
-#: Time and memory of a step, in the report.
-TIMES = re.compile(rb"<td>[^<]* s(, [^<]* MB at the most)?(, finished [^<]*)?</td>")
+#: Time, memory and end of a step, in the report.
+TIMES = re.compile(rb'(<td class="n">[^<]*</td>){2}<td>\d{4}-\d\d-\d\dT[^<]*Z</td>')
 
 
 def state_of(work: Path) -> dict[str, str]:
@@ -385,16 +385,18 @@ def attacks_on(program: Path, folder: Path) -> dict[str, Attack]:
     attacks["report"] = Attack(
         "report", folder / "report", lambda work: [*python, "report", str(work)], folder / "grid" / "undisturbed"
     )
-    for k in range(3):
-        tiny_station(folder / "campaign" / f"o{k}", seed=k)
-    file = folder / "campaign" / "campaign.toml"
-    file.write_text('[campaign]\nstations = ["o*/station.toml"]\nreport = false\n[options]\nfusion = "grid"\n')
-    (folder / "batch").mkdir()
-    attacks["batch"] = Attack(
-        "batch", folder / "batch",
-        lambda work: [*python, "batch", str(file), "-o", str(work), "--jobs", "2", *QUIET],
-    )  # fmt: skip
+    attacks["batch"] = attack_on_campaign(folder / "batch", 3, '[options]\nfusion = "grid"\n')
     return attacks
+
+
+def attack_on_campaign(folder: Path, stations: int, more: str = "") -> Attack:
+    """A campaign of this many stations in two processes, without reports; `more` lines end its file."""
+    for k in range(stations):
+        tiny_station(folder / "stations" / f"o{k}", seed=k)
+    file = folder / "campaign.toml"
+    file.write_text(f'[campaign]\nstations = ["stations/o*/station.toml"]\nreport = false\n{more}')
+    batch = [sys.executable, "-m", "malus.cli", "batch", str(file), "--jobs", "2", *QUIET]
+    return Attack("campaign", folder, lambda work: [*batch, "-o", str(work)])
 
 
 def attack_on_photos(folder: Path) -> Attack:
@@ -466,6 +468,9 @@ def main() -> int:
     parser.add_argument("--kills", type=int, help="only kills, so many in all, however long they take")
     parser.add_argument("--photos", action="store_true", help="only runs from photographs, which take minutes each")
     parser.add_argument("--object", action="store_true", help="only runs of an object of two stations")
+    parser.add_argument(
+        "--campaign", type=int, help="only a campaign of so many stations, with all --kills (20) before it is done"
+    )
     arguments = parser.parse_args()
     end = time.monotonic() + arguments.seconds
     folder = arguments.folder.resolve()
@@ -474,16 +479,22 @@ def main() -> int:
         attacks = {"photos": attack_on_photos(folder / "photos")}
     elif arguments.object:
         attacks = {"object": attack_on_object(folder / "object")}
+    elif arguments.campaign:
+        attacks = {"campaign": attack_on_campaign(folder / "campaign", arguments.campaign)}
     else:
         attacks = attacks_on(arguments.program.resolve(), folder)
     chance = random.Random(arguments.seed)
-    once = [] if arguments.kills or arguments.photos or arguments.object else disturbances(attacks["grid"])
+    once = disturbances(attacks["grid"]) if "grid" in attacks and not arguments.kills else []
     chance.shuffle(once)
     kills = told = 0
     with suppress(KeyboardInterrupt):  # an attack that is ended by hand gives its counts, too
         while kills < arguments.kills if arguments.kills else time.monotonic() < end:
             if once:
                 once.pop()()
+            if arguments.campaign:
+                every_s = attacks["campaign"].seconds / (arguments.kills or 20)
+                attacks["campaign"].killed([chance.uniform(0, 2 * every_s) for _ in range(arguments.kills or 20)])
+                break
             kill(attacks, chance)
             kills = sum(map(Attack.kills, attacks.values()))
             if kills // KILLS_TOLD > told:
