@@ -136,7 +136,7 @@ def _scans(seed: Seed) -> None:
         path = Path(scratch) / "cloud"
         for suffix in (".las", ".laz"):
             write_las(path.with_suffix(suffix), points, normals)
-            seed("las", suffix[1:], path.with_suffix(suffix).read_bytes())
+            seed(suffix[1:], suffix[1:], path.with_suffix(suffix).read_bytes())
         write_e57(path, points)
         seed("e57", "posed", content_of(path.read_bytes()))
         write_e57_with_normals(path, points, normals, chance.integers(0, 3, 20))
