@@ -37,7 +37,7 @@ def _decode(path: str, names: list[str]) -> None:
     laspy = importlib.import_module("laspy")
     # Not the backend laszip, which laspy would try next: more damaged files end its process.
     backends = (laspy.LazBackend.LazrsParallel, laspy.LazBackend.Lazrs)
-    with laspy.open(path, laz_backend=backends) as reader:
+    with laspy.open(path, laz_backend=backends, read_evlrs=False) as reader:
         for points in reader.chunk_iterator(_AT_ONCE):
             table = np.stack([np.asarray(points[name], np.float64) for name in names], axis=1)
             sys.stdout.buffer.write(table.tobytes())

@@ -82,7 +82,8 @@ def as_ply(points: NDArray[np.float64], normals: NDArray[np.float32] | None, fol
 
 def _read_las(library: Any, path: Path) -> Cloud:
     _require_possible_records(path)
-    with library.open(str(path)) as reader:
+    # Extended records may state any length, and none has points.
+    with library.open(str(path), read_evlrs=False) as reader:
         header = reader.header
         has_normals = set(_NORMALS[".las"]) <= set(header.point_format.dimension_names)
         names = [*"xyz", *(_NORMALS[".las"] if has_normals else ())]
@@ -116,15 +117,12 @@ def _require_possible_records(path: Path) -> None:
     """ValueError for a LAS header that counts more records than the file has room for; laspy would try to read them all."""
     with path.open("rb") as file:
         header = file.read(375)
-    # Offsets of the counts, and least lengths, of variable length records and, since version 1.4, of extended ones.
-    for offset, length in ((100, 54), (243, 60)):
-        if len(header) < offset + 4 or (offset == 243 and header[25] < 4):
-            continue
-        count = int.from_bytes(header[offset : offset + 4], "little")
-        if count * length > path.stat().st_size:
-            raise ValueError(f"its header counts {count} records, more than the file has room for")
     if len(header) < 111:
         return
+    record = 54  # least length of a variable length record
+    count = int.from_bytes(header[100:104], "little")
+    if count * record > path.stat().st_size:
+        raise ValueError(f"its header counts {count} records, more than the file has room for")
     points = int.from_bytes(header[107:111], "little")
     if len(header) >= 255 and header[25] >= 4:
         points = max(points, int.from_bytes(header[247:255], "little"))

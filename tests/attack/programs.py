@@ -141,10 +141,11 @@ class Attack:
         start: Path | None = None,
         *,
         repeatable: bool = True,
+        longest_s: float = LONGEST_S,
     ) -> None:
         """`command`: of a workspace; `start`: folder with its initial files. If not `repeatable`, only the files' names are compared."""
         self.name, self.folder, self.command, self.start = name, folder, command, start
-        self.repeatable = repeatable
+        self.repeatable, self.longest_s = repeatable, longest_s
         self.findings: list[str] = []
         self.runs: Counter[str] = Counter()
         work = self.new_folder("undisturbed")
@@ -179,7 +180,7 @@ class Attack:
     def run(self, work: Path, *more: str, before: Callable[[], None] | None = None) -> subprocess.CompletedProcess[str]:
         """Run to the end; `before` is called in the run's process."""
         return subprocess.run(
-            [*self.command(work), *more], capture_output=True, text=True, errors="replace", timeout=LONGEST_S,
+            [*self.command(work), *more], capture_output=True, text=True, errors="replace", timeout=self.longest_s,
             preexec_fn=before,
         )  # fmt: skip
 
@@ -396,7 +397,7 @@ def attack_on_campaign(folder: Path, stations: int, more: str = "") -> Attack:
     file = folder / "campaign.toml"
     file.write_text(f'[campaign]\nstations = ["stations/o*/station.toml"]\nreport = false\n{more}')
     batch = [sys.executable, "-m", "malus.cli", "batch", str(file), "--jobs", "2", *QUIET]
-    return Attack("campaign", folder, lambda work: [*batch, "-o", str(work)])
+    return Attack("campaign", folder, lambda work: [*batch, "-o", str(work)], longest_s=max(LONGEST_S, 60 * stations))
 
 
 def attack_on_photos(folder: Path) -> Attack:

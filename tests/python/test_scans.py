@@ -329,6 +329,21 @@ def test_las_headers_that_count_more_than_the_file_holds_are_refused(
             read_scan(tmp_path / "damaged.las", "mm")
 
 
+def test_an_extended_record_of_las_takes_no_memory(tmp_path: Path) -> None:
+    """It may state any length, for which the reader allocated memory before it read the file."""
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.x = las.y = las.z = np.arange(3.0)
+    las.write(str(tmp_path / "cloud.las"))
+    content = bytearray((tmp_path / "cloud.las").read_bytes())
+    content[235:243] = len(content).to_bytes(8, "little")
+    content[243:247] = (1).to_bytes(4, "little")
+    record = bytes(20) + (1 << 50).to_bytes(8, "little") + bytes(32)
+    (tmp_path / "cloud.las").write_bytes(content + record)
+    points, _ = read_scan(tmp_path / "cloud.las", "m")
+    assert np.allclose(points, np.arange(3.0)[:, None])
+
+
 def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path, tmp_path: Path) -> None:
     pytest.importorskip("laspy")
     text = small_station.read_text()
