@@ -266,6 +266,20 @@ def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
         raise OSError(28, "No space left on device")
 
 
+def test_a_full_disk_is_not_taken_for_a_damaged_database(tmp_path: Path) -> None:
+    with (
+        pytest.raises(package.ResourceError, match="full"),
+        package.photogrammetry.exclusive(tmp_path),
+        closing(sqlite3.connect(":memory:")) as base,
+    ):
+        base.execute("PRAGMA max_page_count = 2")
+        base.execute("CREATE TABLE matches (data BLOB)")
+        base.execute("INSERT INTO matches VALUES (?)", (bytes(10000),))
+    (tmp_path / "features.db").write_bytes(b"no database" * 100)
+    with pytest.raises(package.ExternalError, match="is damaged"), package.photogrammetry.exclusive(tmp_path):
+        database.feature_counts(tmp_path / "features.db")
+
+
 def test_a_folder_is_free_again_though_a_forked_child_lives(tmp_path: Path) -> None:
     script = (
         "import os, signal, sys; from malus.photogrammetry import exclusive\n"
