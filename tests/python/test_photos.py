@@ -419,6 +419,28 @@ def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
     assert runs == ["b"]
 
 
+def test_stages_after_one_that_ended_otherwise_run_again(tmp_path: Path) -> None:
+    """The search that was cut short finds more in the next run: the adjustment must not be that of the first one's model."""
+    runs: list[str] = []
+
+    def go(models: str, unfinished: bool) -> None:
+        def search() -> dict[str, object]:
+            (tmp_path / "images.bin").write_text(models)
+            return {UNFINISHED: unfinished}
+
+        def adjust() -> dict[str, object]:
+            runs.append((tmp_path / "images.bin").read_text())
+            return {}
+
+        journal = Journal(tmp_path, print)
+        journal.stage("mapping", {}, ["images.bin"], search)
+        journal.stage("adjustment", {}, [], adjust)
+
+    for models, unfinished in (("three", True), ("three", True), ("nine", False), ("nine", False)):
+        go(models, unfinished)
+    assert runs == ["three", "nine"]
+
+
 def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None:
     runs: list[str] = []
     outputs = ["a.tif", "images.bin"]
