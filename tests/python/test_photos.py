@@ -689,6 +689,21 @@ def test_a_search_that_any_assumed_lens_left_unfinished_is_repeated(
     assert found[UNFINISHED] == unfinished
 
 
+@pytest.mark.parametrize(
+    ("mapping", "ran_out", "said", "unsaid"),
+    [
+        ({"assumed": 3, "calibrated": False}, False, "3 assumptions on the unknown focal length", "search_limit_s"),
+        ({"assumed": 3, "calibrated": False}, True, "ran out of time.*photos.search_limit_s", "Check"),
+        ({"assumed": 0, "calibrated": True}, False, r"Check \[photos\] camera", "EXIF"),
+        ({"assumed": 0, "calibrated": False}, False, "EXIF focal length that is not theirs", "Check"),
+    ],
+)
+def test_why_there_is_no_model_of_the_photos(mapping: dict[str, Any], ran_out: bool, said: str, unsaid: str) -> None:
+    with pytest.raises(package.DataError, match=said) as caught:
+        diagnosis.check_mapping({"best": None, **mapping}, ["a", "b"], {}, print, ran_out=ran_out)
+    assert unsaid not in str(caught.value) and "no first pair fixes the geometry" in str(caught.value)
+
+
 @pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])
 def test_a_principal_point_is_adjusted_if_enough_photos_of_its_lens_have_a_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos_of_lenses: list[int], freed: bool

@@ -146,7 +146,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
             f"the photos share few features: {options.min_inliers} matches place a photo here instead of {_PLACING_MATCHES}, "
             "so their positions are less certain; more photos in between, or texture around the object, help",
         )
-    diagnosis.check_mapping(mapping, names, pairs, bench.log)
+    diagnosis.check_mapping(mapping, names, pairs, bench.log, ran_out=mapping[UNFINISHED])
     stage(
         "adjustment",
         {"max_error_px": options.max_error_px},
@@ -278,8 +278,8 @@ def _map(
             break
     chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
     chosen[UNFINISHED] = ran_out
-    chosen["known"] = not unknown
-    chosen["attempts"] = len(tried)
+    chosen["calibrated"] = all(group.known is not None for group in groups)
+    chosen["assumed"] = len(tried) if unknown else 0
     return chosen
 
 
