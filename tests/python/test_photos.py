@@ -258,6 +258,15 @@ def test_a_program_named_by_a_relative_path_starts_in_every_folder(
     assert fake_colmap.read_text() == "model_converter\n"
 
 
+def test_a_last_line_without_line_feed_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "colmap"
+    program.write_text("#!/bin/sh\n[ $1 = help ] && echo COLMAP 3.8 && exit\nprintf 'first\\nout of memory'\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("MALUS_COLMAP", str(program))
+    with pytest.raises(package.ExternalError, match="first / out of memory"):
+        Colmap(1).run("mapper", {}, tmp_path / "log")
+
+
 def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
     with package.photogrammetry.exclusive(tmp_path / "a"):
         with pytest.raises(package.InputError, match="in use"), package.photogrammetry.exclusive(tmp_path / "a"):

@@ -153,16 +153,17 @@ class Colmap:
                 self.peak_mb = max(self.peak_mb, memory.resident_mb() + memory.peak_mb(child.pid))
                 if ready:
                     block = os.read(output.fileno(), 65536)
-                    if not block:
-                        return child.wait()
                     write(block)
-                    *lines, pending = (pending + block).replace(b"\r", b"\n").split(b"\n")
+                    # At its end the output need not have a line feed.
+                    *lines, pending = (pending + (block or b"\n")).replace(b"\r", b"\n").split(b"\n")
                     for line in lines:
                         text = line.decode(errors="replace").rstrip()
                         if not _STACK_TRACE.match(text):
                             tail.append(text)
                         if on_line is not None:
                             on_line(as_colmap_3(text))
+                    if not block:
+                        return child.wait()
                 if keep_going is not None and not keep_going():
                     raise SearchStoppedError
 
