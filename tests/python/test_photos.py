@@ -780,6 +780,30 @@ def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pyt
     assert scale.find_targets(photos, "aruco_4x4_50") == {7: [("a", 30.0, 40.0)], 3: [("b", 11.0, 21.0)]}
 
 
+def test_distances_that_cannot_give_a_size_are_refused_before_the_photos_are_matched() -> None:
+    def bar(*images: str, **more: object) -> dict[str, object]:
+        end = [{"image": image} for image in images]
+        return {"a": end, "b": end, "targets": None, "targets_dictionary": "", "check": False} | more
+
+    def require(*bars: dict[str, object]) -> None:
+        scale.require_scale({"path": "s.toml", "scale": bars}, ["a.jpg", "b.jpg"])
+
+    require()
+    require(bar("a.jpg", "b.jpg", "station.jpg"), bar("a.jpg", "station.jpg"))
+    targets = {"targets": [3, 7], "targets_dictionary": "aruco_4x4_50"}
+    require(bar(**targets))
+    for bars, said in (
+        ([bar("a.jpg", "station.jpg")], r"s\.toml: \[\[scale\]\]: no distance .* marks in station.jpg do not count"),
+        ([bar("a.jpg", "b.jpg", check=True)], "no distance without check = true"),
+        (
+            [bar("a.jpg", "b.jpg"), bar(**targets | {"targets_dictionary": "aruco_4x4"})],
+            r"\[\[scale\]\] 2: .*aruco_4x4",
+        ),
+    ):
+        with pytest.raises(package.InputError, match=said):
+            require(*bars)
+
+
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     image = Image.new("L", (3000, 2000))
     exif = image.getexif()

@@ -15,6 +15,7 @@ from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera, pairs_to_match
 from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.scale import require_scale
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,13 @@ def plan(
             f"{_core.least_silhouettes}, from many sides"
         )
     require_marks_in_photos(station, photos)
-    require_control_points(station, [photo.name for photo in photos])
+    names = [photo.name for photo in photos]
+    require_control_points(station, names)
+    require_scale(station, names)
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)
-    pairs = pairs_to_match([photo.name for photo in photos], options.photos.exhaustive_limit)
+    pairs = pairs_to_match(names, options.photos.exhaustive_limit)
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [
         f"photos: {len(photos)} with {lens}, {f'{masks} masks, ' if masks else ''}{len(pairs)} pairs to match, {program.title}",
