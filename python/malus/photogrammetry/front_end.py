@@ -232,7 +232,7 @@ def _placed_and_scaled(
             "program": bench.colmap.title,
             "photos": len(photos),
             "registered": len(registered),
-            "unregistered": solved.unregistered,
+            "unregistered": [photo.name for photo in photos if photo.name not in registered],
             "self_calibrated": not solved.calibrated,
             "reprojection_px": model.mean_error_px,
             "points": len(model.points),

@@ -88,7 +88,6 @@ class PhotoCameras:
     database: Path
     model: SparseModel
     calibrated: bool
-    unregistered: list[str]
     sparing: bool
     """Whether matches are few: they were searched for again, and fewer of them suffice to place an image."""
     hashes: dict[str, str]
@@ -159,7 +158,6 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         database=bench.folder / f"{_prefix(sparing)}mapping.db",
         model=model,
         calibrated=known is not None,
-        unregistered=[photo.name for photo in photos if photo.name not in model.images],
         sparing=sparing,
         hashes=hashes,
     )
