@@ -227,6 +227,27 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     assert not fake_colmap.exists()
 
 
+def test_check_asks_for_masks_that_viewers_do_not_turn_with_their_photos(
+    photo_station: Path, fake_colmap: Path, tmp_path: Path
+) -> None:
+    exif = Image.Exif()
+    exif[274] = 3
+    photo, masks = photo_station.parent / "views" / "view 1.jpg", photo_station.parent / "masks"
+    masks.mkdir()
+    for path in sorted(photo.parent.iterdir()):
+        Image.new("L", (96, 64), 255).save(masks / f"{path.name}.png")
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nmasks = "masks"')
+
+    def asked() -> list[str]:
+        said = package.check(package.Station.load(photo_station))["warnings"]
+        return [warning for warning in said if "viewers turn" in warning]
+
+    assert not asked()
+    with Image.open(photo) as image:
+        image.save(photo, exif=exif)
+    assert len(asked()) == 1 and "viewers turn view 1.jpg by EXIF data" in asked()[0]
+
+
 def test_the_fusion_between_two_sweeps_is_expected_without_zenith_and_height(
     photo_station: Path, fake_colmap: Path
 ) -> None:
@@ -546,6 +567,9 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
     }  # fmt: skip
     _core.write_png(str(masks / "e.png"), np.full((8, 11), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 11 x 8 pixels, expected 12 x 8 as e.jpg"):
+        photos_of(said)
+    _core.write_png(str(masks / "e.png"), np.full((12, 8), 255, np.uint8))
+    with pytest.raises(package.InputError, match="e.png: is 8 x 12 pixels.*EXIF orientation is ignored"):
         photos_of(said)
     empty = tmp_path / "none"
     empty.mkdir()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from malus import _core
+from malus.exif import mask_notes
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.control import require_control_points
@@ -65,6 +66,12 @@ def plan(
         warnings.append(
             f"[photos] masks: {masks} of {len(photos)} photos have a mask; a visual hull is made of at least "
             f"{_core.least_silhouettes}, from many sides"
+        )
+    turned = [photo.name for photo in photos if mask_notes([photo.path], photo.mask)]
+    if turned:
+        warnings.append(
+            f"[photos] masks: viewers turn {diagnosis.listed(turned)} by EXIF data, but not the masks; all are taken as their pixels are "
+            "stored: were the masks drawn on the turned pictures?"
         )
     require_marks_in_photos(station, photos)
     names = [photo.name for photo in photos]
