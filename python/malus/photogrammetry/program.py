@@ -170,7 +170,7 @@ class Colmap:
 
 def _find(backend: str) -> tuple[str, list[str]]:
     """The backend that is available, "colmap" or "pycolmap", and the words of the command that starts it."""
-    name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
+    name = os.environ.get("MALUS_COLMAP") or DEFAULT_PROGRAM
     program = shutil.which(name)
     package = importlib.util.find_spec(PACKAGE) is not None
     # If MALUS_COLMAP names a program, the package must not replace it.

@@ -149,7 +149,7 @@ def triangulate_points(colmap: Any, arguments: Arguments) -> None:
     options = pipeline_options(colmap, arguments)
     source = arguments.take("input_path")
     paths = [arguments.take(name) for name in ("database_path", "image_path", "output_path")]
-    clear = bool(int(arguments.take("clear_points", "1")))
+    clear = bool(int(arguments.take("clear_points", "0")))
     arguments.finish()
     colmap.triangulate_points(colmap.Reconstruction(source), *paths, clear, options, False)
 
