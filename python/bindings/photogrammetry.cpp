@@ -75,7 +75,7 @@ py::list matches_of(const std::vector<Array<std::uint8_t>>& photos,
   }
   std::vector<std::vector<std::pair<std::uint32_t, std::uint32_t>>> found;
   run_interruptible(threads, on_progress, py::none(),
-                    [&](const Context& context) { found = match_pairs(descriptors, pairs, {}, context); });
+                    [&](const Context& context) { found = match_pairs(descriptors, pairs, context); });
   py::list result;
   for (const auto& matches : found) {
     py::array_t<std::uint32_t> array({static_cast<py::ssize_t>(matches.size()), py::ssize_t{2}});

@@ -1039,7 +1039,7 @@ def test_outlines_of_the_other_stations_are_silhouettes(
         seen.update(views)
         assert bench.inside_masks == turntable
         images = {
-            image: RegisteredImage(Camera("PINHOLE", 12, 8, [20, 20, 5.5, 3.5], translation=[k, 0, 0]), (), 50, 50)
+            image: RegisteredImage(Camera("PINHOLE", 12, 8, [20, 20, 5.5, 3.5], translation=[k, 0, 0]), (), 50)
             for k, image in enumerate(views)
         }
         model = SparseModel(images, np.zeros((0, 3)), np.zeros(0), np.zeros(0, int))

@@ -227,6 +227,27 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     assert not fake_colmap.exists()
 
 
+def test_check_asks_for_masks_that_viewers_do_not_turn_with_their_photos(
+    photo_station: Path, fake_colmap: Path, tmp_path: Path
+) -> None:
+    exif = Image.Exif()
+    exif[274] = 3
+    photo, masks = photo_station.parent / "views" / "view 1.jpg", photo_station.parent / "masks"
+    masks.mkdir()
+    for path in sorted(photo.parent.iterdir()):
+        Image.new("L", (96, 64), 255).save(masks / f"{path.name}.png")
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nmasks = "masks"')
+
+    def asked() -> list[str]:
+        said = package.check(package.Station.load(photo_station))["warnings"]
+        return [warning for warning in said if "viewers turn" in warning]
+
+    assert not asked()
+    with Image.open(photo) as image:
+        image.save(photo, exif=exif)
+    assert len(asked()) == 1 and "viewers turn view 1.jpg by EXIF data" in asked()[0]
+
+
 def test_the_fusion_between_two_sweeps_is_expected_without_zenith_and_height(
     photo_station: Path, fake_colmap: Path
 ) -> None:
@@ -258,12 +279,35 @@ def test_a_program_named_by_a_relative_path_starts_in_every_folder(
     assert fake_colmap.read_text() == "model_converter\n"
 
 
+def test_a_last_line_without_line_feed_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "colmap"
+    program.write_text("#!/bin/sh\n[ $1 = help ] && echo COLMAP 3.8 && exit\nprintf 'first\\nout of memory'\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("MALUS_COLMAP", str(program))
+    with pytest.raises(package.ExternalError, match="first / out of memory"):
+        Colmap(1).run("mapper", {}, tmp_path / "log")
+
+
 def test_folder_belongs_to_one_process(tmp_path: Path) -> None:
     with package.photogrammetry.exclusive(tmp_path / "a"):
         with pytest.raises(package.InputError, match="in use"), package.photogrammetry.exclusive(tmp_path / "a"):
             pass
     with pytest.raises(package.ResourceError, match="No space"), package.photogrammetry.exclusive(tmp_path / "a"):
         raise OSError(28, "No space left on device")
+
+
+def test_a_full_disk_is_not_taken_for_a_damaged_database(tmp_path: Path) -> None:
+    with (
+        pytest.raises(package.ResourceError, match="full"),
+        package.photogrammetry.exclusive(tmp_path),
+        closing(sqlite3.connect(":memory:")) as base,
+    ):
+        base.execute("PRAGMA max_page_count = 2")
+        base.execute("CREATE TABLE matches (data BLOB)")
+        base.execute("INSERT INTO matches VALUES (?)", (bytes(10000),))
+    (tmp_path / "features.db").write_bytes(b"no database" * 100)
+    with pytest.raises(package.ExternalError, match="is damaged"), package.photogrammetry.exclusive(tmp_path):
+        database.feature_counts(tmp_path / "features.db")
 
 
 def test_a_folder_is_free_again_though_a_forked_child_lives(tmp_path: Path) -> None:
@@ -405,6 +449,28 @@ def test_journal_repeats_only_what_changed(tmp_path: Path) -> None:
     assert runs == ["b"]
 
 
+def test_stages_after_one_that_ended_otherwise_run_again(tmp_path: Path) -> None:
+    """The search that was cut short finds more in the next run: the adjustment must not be that of the first one's model."""
+    runs: list[str] = []
+
+    def go(models: str, unfinished: bool) -> None:
+        def search() -> dict[str, object]:
+            (tmp_path / "images.bin").write_text(models)
+            return {UNFINISHED: unfinished}
+
+        def adjust() -> dict[str, object]:
+            runs.append((tmp_path / "images.bin").read_text())
+            return {}
+
+        journal = Journal(tmp_path, print)
+        journal.stage("mapping", {}, ["images.bin"], search)
+        journal.stage("adjustment", {}, [], adjust)
+
+    for models, unfinished in (("three", True), ("three", True), ("nine", False), ("nine", False)):
+        go(models, unfinished)
+    assert runs == ["three", "nine"]
+
+
 def test_journal_repeats_warnings_and_sees_flipped_bytes(tmp_path: Path) -> None:
     runs: list[str] = []
     outputs = ["a.tif", "images.bin"]
@@ -501,6 +567,9 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
     }  # fmt: skip
     _core.write_png(str(masks / "e.png"), np.full((8, 11), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 11 x 8 pixels, expected 12 x 8 as e.jpg"):
+        photos_of(said)
+    _core.write_png(str(masks / "e.png"), np.full((12, 8), 255, np.uint8))
+    with pytest.raises(package.InputError, match="e.png: is 8 x 12 pixels.*EXIF orientation is ignored"):
         photos_of(said)
     empty = tmp_path / "none"
     empty.mkdir()
@@ -653,6 +722,21 @@ def test_a_search_that_any_assumed_lens_left_unfinished_is_repeated(
     assert found[UNFINISHED] == unfinished
 
 
+@pytest.mark.parametrize(
+    ("mapping", "ran_out", "said", "unsaid"),
+    [
+        ({"assumed": 3, "calibrated": False}, False, "3 assumptions on the unknown focal length", "search_limit_s"),
+        ({"assumed": 3, "calibrated": False}, True, "ran out of time.*photos.search_limit_s", "Check"),
+        ({"assumed": 0, "calibrated": True}, False, r"Check \[photos\] camera", "EXIF"),
+        ({"assumed": 0, "calibrated": False}, False, "EXIF focal length that is not theirs", "Check"),
+    ],
+)
+def test_why_there_is_no_model_of_the_photos(mapping: dict[str, Any], ran_out: bool, said: str, unsaid: str) -> None:
+    with pytest.raises(package.DataError, match=said) as caught:
+        diagnosis.check_mapping({"best": None, **mapping}, ["a", "b"], {}, print, ran_out=ran_out)
+    assert unsaid not in str(caught.value) and "no first pair fixes the geometry" in str(caught.value)
+
+
 @pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])
 def test_a_principal_point_is_adjusted_if_enough_photos_of_its_lens_have_a_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos_of_lenses: list[int], freed: bool
@@ -718,6 +802,30 @@ def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pyt
     monkeypatch.setattr(scale, "_core", SimpleNamespace(detect_targets=lambda name, dictionary: seen[name]))
     photos = [Photo(name, Path(name), 640, 480) for name in seen]
     assert scale.find_targets(photos, "aruco_4x4_50") == {7: [("a", 30.0, 40.0)], 3: [("b", 11.0, 21.0)]}
+
+
+def test_distances_that_cannot_give_a_size_are_refused_before_the_photos_are_matched() -> None:
+    def bar(*images: str, **more: object) -> dict[str, object]:
+        end = [{"image": image} for image in images]
+        return {"a": end, "b": end, "targets": None, "targets_dictionary": "", "check": False} | more
+
+    def require(*bars: dict[str, object]) -> None:
+        scale.require_scale({"path": "s.toml", "scale": bars}, ["a.jpg", "b.jpg"])
+
+    require()
+    require(bar("a.jpg", "b.jpg", "station.jpg"), bar("a.jpg", "station.jpg"))
+    targets = {"targets": [3, 7], "targets_dictionary": "aruco_4x4_50"}
+    require(bar(**targets))
+    for bars, said in (
+        ([bar("a.jpg", "station.jpg")], r"s\.toml: \[\[scale\]\]: no distance .* marks in station.jpg do not count"),
+        ([bar("a.jpg", "b.jpg", check=True)], "no distance without check = true"),
+        (
+            [bar("a.jpg", "b.jpg"), bar(**targets | {"targets_dictionary": "aruco_4x4"})],
+            r"\[\[scale\]\] 2: .*aruco_4x4",
+        ),
+    ):
+        with pytest.raises(package.InputError, match=said):
+            require(*bars)
 
 
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:

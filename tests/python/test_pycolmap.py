@@ -72,6 +72,7 @@ def test_choice_of_the_backend(
     monkeypatch: pytest.MonkeyPatch, backend: str, colmap: bool, pycolmap: bool, expected: str
 ) -> None:
     there_is(monkeypatch, colmap=colmap, pycolmap=pycolmap)
+    monkeypatch.setenv("MALUS_COLMAP", "")  # names no program
     found, start = program._find(backend)
     assert found == expected
     assert start[0] == ("/bin/colmap" if expected == "colmap" else sys.executable)

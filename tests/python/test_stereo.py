@@ -207,6 +207,21 @@ def test_few_masks_make_no_hull_and_leave_the_sweep(
     assert any("a visual hull is made of at least 4" in message for message in told)
 
 
+def test_depths_before_the_hull_are_dropped_and_do_not_count_as_found(
+    scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gsd = DISTANCE / FOCAL
+    hull = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    hull[:, :70] = scene["depth"][:, :70] + 20 * gsd  # type: ignore[index]
+    found = station_sweep.Hull(hull, np.full_like(hull, 0.1 * gsd), {"masks": 4}, {})
+    monkeypatch.setattr(station_sweep._Sweep, "hull", lambda _: found)
+    options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40, "again": False})
+    swept = sweep_station(scene, placed, tmp_path, options, lambda _: pytest.fail("one sweep"))
+    seen = np.isfinite(swept.depth)
+    assert seen[:, :70].mean() < 0.05 and seen[:, 70:].mean() > 0.8
+    assert swept.figures["completeness"] == pytest.approx(seen.mean())
+
+
 RADIUS = 25.0
 
 

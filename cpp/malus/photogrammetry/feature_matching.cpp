@@ -11,6 +11,11 @@ constexpr Eigen::Index block = 64;
 /// Product of two descriptors of equal direction.
 constexpr double full_product = 512.0 * 512.0;
 
+/// Largest ratio of the angles to the best and the second-best descriptor (Lowe 2004).
+constexpr double max_ratio = 0.8;
+/// Largest angle between matching descriptors.
+constexpr double max_distance_rad = 0.7;
+
 /// Rows as 16-bit numbers, whose products the compiler sums eight at a time.
 using Wide = Eigen::Matrix<std::int16_t, Eigen::Dynamic, 128, Eigen::RowMajor>;
 
@@ -34,17 +39,16 @@ struct Nearest {
       second = value;
     }
   }
-  bool is_distinct(const MatchingLimits& limits) const {
+  bool is_distinct() const {
     const double nearest = std::acos(std::min(best / full_product, 1.0));
     const double next = std::acos(std::min(second / full_product, 1.0));
-    return best > 0 && nearest <= limits.max_distance_rad && nearest < limits.max_ratio * next;
+    return best > 0 && nearest <= max_distance_rad && nearest < max_ratio * next;
   }
 };
 
 }  // namespace
 
-std::vector<std::pair<std::uint32_t, std::uint32_t>> match_features(const Descriptors& a, const Descriptors& b,
-                                                                    const MatchingLimits& limits) {
+std::vector<std::pair<std::uint32_t, std::uint32_t>> match_features(const Descriptors& a, const Descriptors& b) {
   const Wide wide_a = a.cast<std::int16_t>(), wide_b = b.cast<std::int16_t>();
   std::vector<Nearest> of_a(static_cast<std::size_t>(a.rows())), of_b(static_cast<std::size_t>(b.rows()));
   for (Eigen::Index first = 0; first < b.rows(); first += block) {
@@ -60,16 +64,16 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> match_features(const Descri
   std::vector<std::pair<std::uint32_t, std::uint32_t>> matches;
   for (std::uint32_t i = 0; i < of_a.size(); ++i) {
     const Nearest& nearest = of_a[i];
-    if (!nearest.is_distinct(limits)) continue;
+    if (!nearest.is_distinct()) continue;
     const Nearest& back = of_b[nearest.index];
-    if (back.index == i && back.is_distinct(limits)) matches.emplace_back(i, nearest.index);
+    if (back.index == i && back.is_distinct()) matches.emplace_back(i, nearest.index);
   }
   return matches;
 }
 
 std::vector<std::vector<std::pair<std::uint32_t, std::uint32_t>>> match_pairs(
     std::span<const Descriptors> photos, std::span<const std::pair<std::size_t, std::size_t>> pairs,
-    const MatchingLimits& limits, const Context& context) {
+    const Context& context) {
   for (const auto& [first, second] : pairs) {
     if (std::max(first, second) >= photos.size()) {
       throw input_error("pair of photos " + std::to_string(first) + " and " + std::to_string(second) + " of " +
@@ -84,7 +88,7 @@ std::vector<std::vector<std::pair<std::uint32_t, std::uint32_t>>> match_pairs(
                      "pair " + std::to_string(start + 1) + "/" + std::to_string(pairs.size()));
     parallel_for(context, std::min(count, pairs.size() - start), 1, [&](std::size_t i, std::size_t) {
       const auto& [first, second] = pairs[start + i];
-      matches[start + i] = match_features(photos[first], photos[second], limits);
+      matches[start + i] = match_features(photos[first], photos[second]);
     });
   }
   return matches;

@@ -176,7 +176,6 @@ class Bench:
             {
                 "database_path": target,
                 "match_list_path": pairs_file,
-                "match_type": "pairs",
                 "SiftMatching.use_gpu": 0,
                 "SiftMatching.num_threads": self.colmap.threads,
                 "SiftMatching.guided_matching": int(guided),

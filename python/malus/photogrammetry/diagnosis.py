@@ -77,11 +77,14 @@ def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int]
 
 
 def check_mapping(
-    mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log
+    mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log, *, ran_out: bool
 ) -> None:
-    """Warn of photos without position and of models that are not connected; DataError if there is no model."""
+    """Warn of photos without position and of models that are not connected; DataError if there is no model.
+
+    ran_out: whether the search for a model ended for lack of time.
+    """
     if mapping["best"] is None:
-        raise DataError(_no_model(mapping, names, pairs))
+        raise DataError(_no_model(mapping, names, pairs, ran_out=ran_out))
     registered = mapping["models"][mapping["best"]]
     pieces = [model for name, model in mapping["models"].items() if name != mapping["best"]]
     for piece in pieces:
@@ -102,19 +105,30 @@ def check_mapping(
         )
 
 
-def _no_model(mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> str:
+def _no_model(
+    mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], *, ran_out: bool
+) -> str:
     start = f"[photos]: {len(pairs)} pairs of the {len(names)} photos match, but no first pair fixes the geometry"
-    if not mapping["known"]:
+    if mapping["assumed"]:
+        start += f", with {mapping['assumed']} assumptions on the unknown focal length"
+    if ran_out:
+        start += ". The search ran out of time: on a slow or busy machine a larger photos.search_limit_s may find one"
+    if mapping["assumed"]:
         return (
-            f"{start}, with {mapping['attempts']} assumptions on the unknown focal length. Usual causes: a flat scene or a "
+            f"{start}. Usual causes: a flat scene or a "
             "long lens, with which the focal length cannot be told from the distance. Give the calibrated lens as "
             "[photos] camera = { model, width, height, params }, or photos with EXIF focal length, or photograph the object "
             "on a tilted or deeper, textured scene from directions up to 40° apart"
         )
-    return (
-        f"{start}. Usual causes: all photos from nearly one direction, or a calibration that does not belong to them "
-        f"(another focal length or focus). Check [photos] camera; {_OVERLAP}"
-    )
+    if mapping["calibrated"]:
+        lens, advice = (
+            "a calibration that does not belong to them (another focal length or focus)",
+            "Check [photos] camera",
+        )
+    else:
+        lens = "an EXIF focal length that is not theirs (cropped photos, an adapter)"
+        advice = "Give the calibrated lens as [photos] camera = { model, width, height, params }"
+    return f"{start}. Usual causes: all photos from nearly one direction, or {lens}. {advice}; {_OVERLAP}"
 
 
 def station_not_registered(matches: Mapping[str, int], least: int) -> str:

@@ -8,7 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from malus.errors import ExternalError, InputError, MalusError, kind_of
+from malus.errors import ExternalError, InputError, MalusError, ResourceError, kind_of
+
+#: SQLite's codes for a system that can store or read no more; the database itself is whole.
+_OF_SYSTEM = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 
 @contextmanager
@@ -16,8 +19,8 @@ def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Create the folder if needed and hold it for this process.
 
     If another process holds the folder, raises InputError, or waits for that process if `wait` is set. Failures of the
-    system in the `with` block become InputError for paths that cannot be used, else ResourceError; those of a damaged database
-    become ExternalError.
+    system in the `with` block, also below a database, become InputError for paths that cannot be used, else ResourceError; those
+    of a damaged database become ExternalError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -38,6 +41,9 @@ def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     except OSError as error:
         raise kind_of(error)(f"{error.filename or folder}: {error.strerror or error}") from None
     except sqlite3.Error as error:
+        # The lower byte is the kind of failure. Errors of the module sqlite3 itself have no code.
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in _OF_SYSTEM:
+            raise ResourceError(f"{folder}: COLMAP's database cannot be read or written: {error}") from None
         raise ExternalError(
             f"{folder}: COLMAP's database is damaged ({error}); remove the folder and run again"
         ) from None

@@ -29,7 +29,7 @@ from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, enough_photos_of, solve_photos
 from malus.photogrammetry.photos import Photo, describe_photo
 from malus.photogrammetry.program import Colmap
-from malus.photogrammetry.scale import adjust_scale
+from malus.photogrammetry.scale import adjust_scale, require_scale
 from malus.photogrammetry.station_pose import (
     STATION_IMAGE,
     PlacedStations,
@@ -189,7 +189,9 @@ def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCa
     """The photos that [photos] names, and their cameras. said: `path`, `photos`, `scale` and `control`."""
     photos = enough_photos_of(said["photos"], bench.log)
     require_marks_in_photos(said, photos)
-    require_control_points(said, [photo.name for photo in photos])
+    names = [photo.name for photo in photos]
+    require_control_points(said, names)
+    require_scale(said, names)
     solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
@@ -230,7 +232,7 @@ def _placed_and_scaled(
             "program": bench.colmap.title,
             "photos": len(photos),
             "registered": len(registered),
-            "unregistered": solved.unregistered,
+            "unregistered": [photo.name for photo in photos if photo.name not in registered],
             "self_calibrated": not solved.calibrated,
             "reprojection_px": model.mean_error_px,
             "points": len(model.points),

@@ -33,8 +33,9 @@ def digest(*arrays: NDArray[Any]) -> str:
 class Journal:
     """Marks of finished stages, `done/<stage>.json` below a folder.
 
-    A stage's key is the hash of malus's version, of the stage's inputs and of the key of the stage before it. The stage is done if its
-    mark has this key and its outputs are unchanged. Outputs are compared by hash; COLMAP's databases, which reading can change, by size.
+    A stage's key is the hash of malus's version, of the stage's inputs, and of the key and the outputs of the stage before it: a stage
+    that runs again, because it was unfinished or its outputs were lost, may end otherwise. The stage is done if its mark has this key and
+    its outputs are unchanged. Outputs are compared by hash; COLMAP's databases, which reading can change, by size.
     """
 
     def __init__(self, folder: Path, log: Log, colmap: Colmap | None = None) -> None:
@@ -87,7 +88,7 @@ class Journal:
         text = json.dumps(
             {"stage": name, "version": _core.version, "inputs": inputs, "after": self._previous}, sort_keys=True
         )
-        self._previous = key = hashlib.sha256(text.encode()).hexdigest()
+        key = hashlib.sha256(text.encode()).hexdigest()
         mark = self._marks / f"{name}.json"
         done = read_record(mark) or {}
         if done.get("key") == key and "times" in done and done.get("outputs") == self._states(outputs):
@@ -110,6 +111,7 @@ class Journal:
             }
             if not notes.get(UNFINISHED):
                 write_record(mark, done)
+        self._previous = hashlib.sha256((key + json.dumps(done["outputs"], sort_keys=True)).encode()).hexdigest()
         self.times[name] = done["times"]
         kept: dict[str, Any] = done["notes"]
         return kept

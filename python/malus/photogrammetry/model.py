@@ -21,7 +21,6 @@ class RegisteredImage:
     """Lens and pose; pixels in the memory convention."""
     camera_group: tuple[object, ...]
     """Equal for images that share one lens."""
-    features: int
     observations: int
     """Features that see a triangulated point."""
 
@@ -43,10 +42,10 @@ class SparseModel:
         """Read a COLMAP model, binary or text. Raises InputError for a damaged one."""
         model = _core.ColmapModel.read(str(folder))
         images = {}
-        for quoted_name, (values, features, observations) in model.images().items():
+        for quoted_name, (values, _, observations) in model.images().items():
             lens, width, height, params, _, _ = values
             group = (lens, width, height, *params)
-            images[unquoted(quoted_name)] = RegisteredImage(Camera(*values), group, features, observations)
+            images[unquoted(quoted_name)] = RegisteredImage(Camera(*values), group, observations)
         points, errors, lengths = model.points()
         return SparseModel(images, points, errors, lengths)
 

@@ -88,7 +88,6 @@ class PhotoCameras:
     database: Path
     model: SparseModel
     calibrated: bool
-    unregistered: list[str]
     sparing: bool
     """Whether matches are few: they were searched for again, and fewer of them suffice to place an image."""
     hashes: dict[str, str]
@@ -146,7 +145,7 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
             f"the photos share few features: {options.min_inliers} matches place a photo here instead of {_PLACING_MATCHES}, "
             "so their positions are less certain; more photos in between, or texture around the object, help",
         )
-    diagnosis.check_mapping(mapping, names, pairs, bench.log)
+    diagnosis.check_mapping(mapping, names, pairs, bench.log, ran_out=mapping[UNFINISHED])
     stage(
         "adjustment",
         {"max_error_px": options.max_error_px},
@@ -159,7 +158,6 @@ def solve_photos(bench: Bench, photos: Sequence[Photo], known: Camera | None) ->
         database=bench.folder / f"{_prefix(sparing)}mapping.db",
         model=model,
         calibrated=known is not None,
-        unregistered=[photo.name for photo in photos if photo.name not in model.images],
         sparing=sparing,
         hashes=hashes,
     )
@@ -278,8 +276,8 @@ def _map(
             break
     chosen = max(tried, key=lambda attempt: len(attempt["models"].get(attempt["best"], [])))
     chosen[UNFINISHED] = ran_out
-    chosen["known"] = not unknown
-    chosen["attempts"] = len(tried)
+    chosen["calibrated"] = all(group.known is not None for group in groups)
+    chosen["assumed"] = len(tried) if unknown else 0
     return chosen
 
 

@@ -184,8 +184,14 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
             if path.is_file() and path != photo.path:
                 width, height = _core.image_size(str(path))
                 if (width, height) != (photo.width, photo.height):
+                    turned = (height, width) == (photo.width, photo.height)
                     raise InputError(
                         f"{path}: is {width} x {height} pixels, expected {photo.width} x {photo.height} as {photo.name}"
+                        + (
+                            "; EXIF orientation is ignored: turn the mask as the photo's pixels are stored"
+                            if turned
+                            else ""
+                        )
                     )
                 photo = replace(photo, mask=path)
                 break

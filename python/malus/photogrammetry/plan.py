@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from malus import _core
+from malus.exif import mask_notes
 from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.control import require_control_points
@@ -15,6 +16,7 @@ from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera, pairs_to_match
 from malus.photogrammetry.program import Colmap
+from malus.photogrammetry.scale import require_scale
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,20 @@ def plan(
             f"[photos] masks: {masks} of {len(photos)} photos have a mask; a visual hull is made of at least "
             f"{_core.least_silhouettes}, from many sides"
         )
+    turned = [photo.name for photo in photos if mask_notes([photo.path], photo.mask)]
+    if turned:
+        warnings.append(
+            f"[photos] masks: viewers turn {diagnosis.listed(turned)} by EXIF data, but not the masks; all are taken as their pixels are "
+            "stored: were the masks drawn on the turned pictures?"
+        )
     require_marks_in_photos(station, photos)
-    require_control_points(station, [photo.name for photo in photos])
+    names = [photo.name for photo in photos]
+    require_control_points(station, names)
+    require_scale(station, names)
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)
-    pairs = pairs_to_match([photo.name for photo in photos], options.photos.exhaustive_limit)
+    pairs = pairs_to_match(names, options.photos.exhaustive_limit)
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [
         f"photos: {len(photos)} with {lens}, {f'{masks} masks, ' if masks else ''}{len(pairs)} pairs to match, {program.title}",

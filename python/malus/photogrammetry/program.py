@@ -153,23 +153,24 @@ class Colmap:
                 self.peak_mb = max(self.peak_mb, memory.resident_mb() + memory.peak_mb(child.pid))
                 if ready:
                     block = os.read(output.fileno(), 65536)
-                    if not block:
-                        return child.wait()
                     write(block)
-                    *lines, pending = (pending + block).replace(b"\r", b"\n").split(b"\n")
+                    # At its end the output need not have a line feed.
+                    *lines, pending = (pending + (block or b"\n")).replace(b"\r", b"\n").split(b"\n")
                     for line in lines:
                         text = line.decode(errors="replace").rstrip()
                         if not _STACK_TRACE.match(text):
                             tail.append(text)
                         if on_line is not None:
                             on_line(as_colmap_3(text))
+                    if not block:
+                        return child.wait()
                 if keep_going is not None and not keep_going():
                     raise SearchStoppedError
 
 
 def _find(backend: str) -> tuple[str, list[str]]:
     """The backend that is available, "colmap" or "pycolmap", and the words of the command that starts it."""
-    name = os.environ.get("MALUS_COLMAP", DEFAULT_PROGRAM)
+    name = os.environ.get("MALUS_COLMAP") or DEFAULT_PROGRAM
     program = shutil.which(name)
     package = importlib.util.find_spec(PACKAGE) is not None
     # If MALUS_COLMAP names a program, the package must not replace it.

@@ -93,8 +93,6 @@ def import_matches(colmap: Any, arguments: Arguments) -> None:
     pairing = colmap.ImportedPairingOptions()
     pairing.match_list_path = arguments.take("match_list_path")
     database = arguments.take("database_path")
-    if (kind := arguments.take("match_type", "pairs")) != "pairs":
-        raise UsageError(f"--match_type {kind}, expected pairs")
     arguments.finish()
     with colmap.Database.open(database) as connection:
         calibrated = all(camera.has_prior_focal_length for camera in connection.read_all_cameras())
@@ -151,7 +149,7 @@ def triangulate_points(colmap: Any, arguments: Arguments) -> None:
     options = pipeline_options(colmap, arguments)
     source = arguments.take("input_path")
     paths = [arguments.take(name) for name in ("database_path", "image_path", "output_path")]
-    clear = bool(int(arguments.take("clear_points", "1")))
+    clear = bool(int(arguments.take("clear_points", "0")))
     arguments.finish()
     colmap.triangulate_points(colmap.Reconstruction(source), *paths, clear, options, False)
 

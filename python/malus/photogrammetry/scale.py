@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus.camera import Camera
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry.diagnosis import NO_SIZE, Log, listed
 from malus.photogrammetry.photos import Photo, read_gray, to_bytes
@@ -46,6 +46,33 @@ def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
             if times[number] == 1:
                 targets.setdefault(number, []).append((photo.name, x, y))
     return targets
+
+
+def require_scale(said: Mapping[str, Any], photos: Sequence[str]) -> None:
+    """Check that the known distances of `Station.describe` can give a size to these photos, before hours go into matching the photos.
+
+    Raises InputError for an unknown dictionary of targets, and if no distance that is not held out can be measured: marks in files
+    that are not among the photos, such as excluded ones, do not count.
+    """
+    bars, known = said["scale"], set(photos)
+    for number, bar in enumerate(bars, 1):
+        if bar["targets"]:
+            try:
+                _core.detect_targets(np.zeros((16, 16), np.uint8), bar["targets_dictionary"])
+            except InputError as error:
+                raise InputError(f"{said['path']}: [[scale]] {number}: {error}") from None
+    if not bars or any(bar["targets"] or _is_marked(bar, known) for bar in bars if not bar["check"]):
+        return
+    others = sorted({mark["image"] for bar in bars for mark in [*bar["a"], *bar["b"]]} - known)
+    raise InputError(
+        f"{said['path']}: [[scale]]: no distance without check = true is marked at both ends in two photos or more, expected one"
+        + (f"; marks in {listed(others)} do not count, which are not among the photos" if others else "")
+    )
+
+
+def _is_marked(bar: Mapping[str, Any], photos: Container[str]) -> bool:
+    """Whether both ends of a distance are marked in two photos or more."""
+    return all(sum(mark["image"] in photos for mark in bar[end]) > 1 for end in "ab")
 
 
 def _ends(bar: Mapping[str, Any], found: Mapping[str, Targets], options: Options) -> _Ends:

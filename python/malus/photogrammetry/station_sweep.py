@@ -214,10 +214,14 @@ class _Sweep:
         )
         depth, sigma, _ = self._read(_FIRST)
         if hull is not None:
-            figures = {**figures, **hull.figures}
             mirrored = depth < hull.depth - HULL_SIGMAS * np.hypot(sigma, hull.sigma)
             depth, sigma = (np.where(mirrored, np.float32(np.nan), values) for values in (depth, sigma))
+            figures = {**figures, **hull.figures, "completeness": self._completeness(depth)}
         return Swept(depth, sigma, None, figures, self.journal.total_times(), hull)
+
+    def _completeness(self, depth: NDArray[np.float32]) -> float:
+        """Share of the object that has a depth."""
+        return float(np.isfinite(depth)[self.mask != 0].mean())
 
     def _run_or_none(self, hull: Hull) -> dict[str, Any]:
         """The first sweep, without any depth if the photos do not agree: the hull takes its place then."""
@@ -248,7 +252,7 @@ class _Sweep:
                 sigma=np.where(mirrored, np.float32(np.nan), first.sigma),
             )
             self._write(_KEPT, (some.depth, some.sigma, _held(fuse(some))))
-            return {**first.figures, "completeness": float(np.isfinite(some.depth)[self.mask != 0].mean())}
+            return {**first.figures, "completeness": self._completeness(some.depth)}
 
         if not np.isfinite(first.depth).any():
             return first

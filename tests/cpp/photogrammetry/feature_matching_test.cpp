@@ -35,7 +35,7 @@ TEST(MatchFeatures, LeavesOutAmbiguousAndDistantMatches) {
   twice << a, a;
   EXPECT_TRUE(match_features(a, twice).empty());
   EXPECT_TRUE(match_features(twice, a).empty());
-  EXPECT_TRUE(match_features(a, random_descriptors(30, 3), {.max_distance_rad = 0.3}).empty());
+  EXPECT_TRUE(match_features(a, random_descriptors(1, 3)).empty());
   EXPECT_TRUE(match_features(a, Descriptors(0, 128)).empty());
 }
 
@@ -44,11 +44,11 @@ TEST(MatchPairs, DoesNotDependOnThreads) {
                                         random_descriptors(80, 4)};
   const std::vector<std::pair<std::size_t, std::size_t>> pairs{{0, 1}, {0, 2}, {1, 2}};
   const Context several{.threads = 3};
-  const auto matches = match_pairs(photos, pairs, {}, several);
-  EXPECT_EQ(matches, match_pairs(photos, pairs, {}, {}));
+  const auto matches = match_pairs(photos, pairs, several);
+  EXPECT_EQ(matches, match_pairs(photos, pairs, {}));
   EXPECT_EQ(matches[1].size(), 80U);
   const std::vector<std::pair<std::size_t, std::size_t>> wrong{{0, 3}};
-  EXPECT_THROW(match_pairs(photos, wrong, {}, {}), Error);
+  EXPECT_THROW(match_pairs(photos, wrong, {}), Error);
 }
 
 }  // namespace
