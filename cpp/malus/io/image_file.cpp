@@ -40,13 +40,11 @@ RawImage decode(const std::filesystem::path& path, const std::string& what, cons
                 codecs::Alpha alpha, const codecs::HeaderCheck& check) {
   const auto file = read_bytes(path, what);
   const std::string_view bytes(file.data(), file.size());
-  const auto starts_with = [&](std::string_view magic) { return bytes.substr(0, magic.size()) == magic; };
   try {
-    if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, alpha, check);
-    if (starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
-    if (starts_with("II*\0"sv) || starts_with("MM\0*"sv) || starts_with("II+\0"sv) || starts_with("MM\0+"sv)) {
-      return codecs::decode_tiff(bytes, alpha, check);
-    }
+    if (bytes.starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, alpha, check);
+    if (bytes.starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
+    for (const std::string_view magic : {"II*\0"sv, "MM\0*"sv, "II+\0"sv, "MM\0+"sv})
+      if (bytes.starts_with(magic)) return codecs::decode_tiff(bytes, alpha, check);
   } catch (const Error&) {
     throw;
   } catch (const std::runtime_error& error) {
