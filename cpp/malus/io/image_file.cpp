@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <set>
 #include <stdexcept>
 #include <string_view>
@@ -116,7 +115,7 @@ void clear_no_data(Image<float>& pixels, std::string_view text, const std::strin
   }
   // Samples of 64 bits were rounded in the same way.
   const auto hole = static_cast<float>(number);
-  std::ranges::replace(pixels, hole, std::numeric_limits<float>::quiet_NaN());
+  std::ranges::replace(pixels, hole, no_value);
 }
 
 }  // namespace
