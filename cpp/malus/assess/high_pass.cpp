@@ -6,10 +6,10 @@
 
 #include "malus/assess/high_pass_internal.h"
 #include "malus/assess/statistics_internal.h"
-#include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 
 namespace malus {
 

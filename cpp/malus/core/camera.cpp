@@ -6,7 +6,6 @@
 #include <cmath>
 #include <limits>
 #include <span>
-#include <sstream>
 
 #include "malus/core/pixel_rect_internal.h"
 
@@ -187,10 +186,8 @@ void LensCamera::validate(const std::string& where) const {
     throw input_error(where + ": image size " + to_string(size) + ", expected 1 to 65536 pixels a side");
   }
   if (static_cast<int>(params.size()) != parameter_count(model)) {
-    std::ostringstream message;
-    message << where << ": " << params.size() << " parameters for camera model " << to_string(model) << ", expected "
-            << parameter_count(model);
-    throw input_error(message.str());
+    throw input_error(where + ": " + std::to_string(params.size()) + " parameters for camera model " +
+                      std::string(to_string(model)) + ", expected " + std::to_string(parameter_count(model)));
   }
   for (const double value : params) {
     if (!std::isfinite(value)) throw input_error(where + ": camera parameters must be finite numbers");

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
 #include "malus/core/masked_blur_internal.h"
@@ -27,7 +26,7 @@ Image<float> masked_blur(const Image<float>& values, const Mask& mask, double si
     sums(u, v) = sum;
     weights(u, v) = weight;
   });
-  Image<float> blurred(size, 1, std::numeric_limits<float>::quiet_NaN());
+  Image<float> blurred(size, 1, no_value);
   parallel_pixels(context, mask, [&](int u, int v) {
     float sum = 0, weight = 0;
     for (int j = std::max(v - radius, 0); j <= std::min(v + radius, size.height - 1); ++j) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 
@@ -31,6 +32,16 @@ std::array<double, n> sum_pixels(std::size_t count, const Context& context, Add&
 /// part / whole; NaN if whole is 0.
 inline double fraction_of(double part, double whole) {
   return whole > 0 ? part / whole : std::numeric_limits<double>::quiet_NaN();
+}
+
+/// Mean of the finite values; NaN if there is none.
+inline double finite_mean(const Image<float>& values, const Context& context) {
+  const auto [sum, count] = sum_pixels<2>(values.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    if (!std::isfinite(values[i])) return;
+    sums[0] += values[i];
+    sums[1] += 1;
+  });
+  return fraction_of(sum, count);
 }
 
 }  // namespace malus

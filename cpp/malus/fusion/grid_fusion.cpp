@@ -11,10 +11,10 @@
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/fields.h"
-#include "malus/core/finite_mean_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/height/height_internal.h"
 

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "malus/core/depth_normals_internal.h"
-#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/fusion/ceres_outcome_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"

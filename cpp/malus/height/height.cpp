@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
-#include "malus/core/finite_mean_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 #include "malus/core/tiled_axis_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/height/height_problem_internal.h"

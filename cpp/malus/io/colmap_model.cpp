@@ -32,26 +32,15 @@ constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE", 3},
                                  {10, "THIN_PRISM_FISHEYE", 12, false},
                                  {11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, false}};
 
-/// The model of COLMAP that is not supported here and has this name or number, or null.
+/// COLMAP's model with this name or number, or null.
 template <class Key>
-const ModelId* unsupported_model(Key ModelId::*key, const Key& value) {
-  for (const ModelId& entry : model_ids) {
-    if (!entry.supported && entry.*key == value) return &entry;
-  }
-  return nullptr;
-}
-
-LensModel model_of_id(std::int32_t id, const std::string& where) {
-  for (const ModelId& entry : model_ids) {
-    if (entry.id == id) return lens_model(entry.name, where);
-  }
-  return lens_model(std::to_string(id), where);
+const ModelId* known_model(Key ModelId::*key, const Key& value) {
+  const auto* const found = std::ranges::find(model_ids, value, key);
+  return found == std::end(model_ids) ? nullptr : found;
 }
 
 std::int32_t id_of_model(LensModel model) {
-  for (const ModelId& entry : model_ids) {
-    if (entry.name == to_string(model)) return entry.id;
-  }
+  if (const ModelId* const known = known_model(&ModelId::name, to_string(model))) return known->id;
   throw input_error("camera model " + std::string(to_string(model)) + " cannot be written as a COLMAP model");
 }
 
@@ -164,7 +153,7 @@ void read_cameras_text(Builder& builder) {
     Words words(line, where);
     const auto id = words.number<std::uint32_t>("camera id");
     const std::string_view name = words.next();
-    if (unsupported_model(&ModelId::name, name) != nullptr) {
+    if (const ModelId* const known = known_model(&ModelId::name, name); known != nullptr && !known->supported) {
       builder.add_unsupported_camera(id, name);
       continue;
     }
@@ -257,13 +246,14 @@ void read_cameras_binary(Builder& builder) {
     const std::string where = path.string() + " camera " + std::to_string(id);
     const int number = read_value<std::int32_t>(file);
     const auto width = read_value<std::uint64_t>(file), height = read_value<std::uint64_t>(file);
-    if (const ModelId* const unsupported = unsupported_model(&ModelId::id, number)) {
-      file.skip(static_cast<std::uint64_t>(unsupported->parameters) * sizeof(double));
-      builder.add_unsupported_camera(id, unsupported->name);
+    const ModelId* const known = known_model(&ModelId::id, number);
+    if (known != nullptr && !known->supported) {
+      file.skip(static_cast<std::uint64_t>(known->parameters) * sizeof(double));
+      builder.add_unsupported_camera(id, known->name);
       continue;
     }
     LensCamera camera;
-    camera.model = model_of_id(number, where + ": camera model");
+    camera.model = lens_model(known != nullptr ? known->name : std::to_string(number), where + ": camera model");
     camera.params.resize(static_cast<std::size_t>(parameter_count(camera.model)));
     for (double& parameter : camera.params) parameter = read_value<double>(file);
     builder.add_camera(id, std::move(camera), width, height, where);
@@ -511,7 +501,7 @@ Image<float> read_colmap_array(const std::filesystem::path& path) {
   for (std::size_t i = 0; i < area; ++i) {
     float* pixel = image.data() + i * channels;
     if (std::all_of(pixel, pixel + channels, [](float value) { return value == 0; })) {
-      std::fill(pixel, pixel + channels, std::numeric_limits<float>::quiet_NaN());
+      std::fill(pixel, pixel + channels, no_value);
     }
   }
   return image;

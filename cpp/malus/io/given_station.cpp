@@ -4,7 +4,6 @@
 
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_sections_internal.h"
-#include "malus/io/station_tables_internal.h"
 
 namespace malus {
 namespace {

@@ -51,7 +51,7 @@ class Buffer {
     return add(items.size() * record, target,
                [&items, convert](AtomicFile& file, std::size_t offset, const Context& context) {
                  write_records(file, offset, items.size(), record, context,
-                               [&](std::size_t i, RecordEncoder& encoder) { encoder.put(convert(items[i])); });
+                               [&](std::size_t i, FileBlock& block) { block.put(convert(items[i])); });
                });
   }
 

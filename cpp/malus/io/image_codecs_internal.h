@@ -7,7 +7,6 @@
 #include <string>
 #include <string_view>
 
-#include "malus/core/error.h"
 #include "malus/core/image.h"
 #include "malus/io/atomic_file_internal.h"
 #include "malus/io/image_file_internal.h"

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <set>
 #include <stdexcept>
 #include <string_view>
@@ -40,13 +39,11 @@ RawImage decode(const std::filesystem::path& path, const std::string& what, cons
                 codecs::Alpha alpha, const codecs::HeaderCheck& check) {
   const auto file = read_bytes(path, what);
   const std::string_view bytes(file.data(), file.size());
-  const auto starts_with = [&](std::string_view magic) { return bytes.substr(0, magic.size()) == magic; };
   try {
-    if (starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, alpha, check);
-    if (starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
-    if (starts_with("II*\0"sv) || starts_with("MM\0*"sv) || starts_with("II+\0"sv) || starts_with("MM\0+"sv)) {
-      return codecs::decode_tiff(bytes, alpha, check);
-    }
+    if (bytes.starts_with("\x89PNG\r\n\x1a\n"sv)) return codecs::decode_png(bytes, alpha, check);
+    if (bytes.starts_with("\xff\xd8\xff"sv)) return codecs::decode_jpeg(bytes, check);
+    for (const std::string_view magic : {"II*\0"sv, "MM\0*"sv, "II+\0"sv, "MM\0+"sv})
+      if (bytes.starts_with(magic)) return codecs::decode_tiff(bytes, alpha, check);
   } catch (const Error&) {
     throw;
   } catch (const std::runtime_error& error) {
@@ -118,7 +115,7 @@ void clear_no_data(Image<float>& pixels, std::string_view text, const std::strin
   }
   // Samples of 64 bits were rounded in the same way.
   const auto hole = static_cast<float>(number);
-  std::ranges::replace(pixels, hole, std::numeric_limits<float>::quiet_NaN());
+  std::ranges::replace(pixels, hole, no_value);
 }
 
 }  // namespace

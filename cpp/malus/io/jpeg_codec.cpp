@@ -19,11 +19,14 @@ namespace {
 constexpr double most_pixels_per_byte = 512;
 
 // As with PNG, the functions that call setjmp own nothing that needs a destructor.
-struct JpegReader {
-  jpeg_decompress_struct jpeg{};
+struct JpegErrors {
   jpeg_error_mgr errors{};
   std::jmp_buf jump{};
   char message[JMSG_LENGTH_MAX] = {};
+};
+
+struct JpegReader : JpegErrors {
+  jpeg_decompress_struct jpeg{};
   std::string_view bytes;
   bool created = false;
 
@@ -33,9 +36,9 @@ struct JpegReader {
 };
 
 void fail(j_common_ptr jpeg) {
-  auto& reader = *static_cast<JpegReader*>(jpeg->client_data);
-  jpeg->err->format_message(jpeg, reader.message);
-  std::longjmp(reader.jump, 1);
+  auto& codec = *static_cast<JpegErrors*>(jpeg->client_data);
+  jpeg->err->format_message(jpeg, codec.message);
+  std::longjmp(codec.jump, 1);
 }
 
 // libjpeg only warns when data end early or make no sense, and fills the rest of the image with gray: unusable for
@@ -47,6 +50,15 @@ void fail_on_warning(j_common_ptr jpeg, int level) {
 }
 
 void print_nothing(j_common_ptr) {}
+
+/// Lets libjpeg report errors to the reader or writer itself.
+template <class Codec>
+void catch_errors(Codec& codec) {
+  codec.jpeg.err = jpeg_std_error(&codec.errors);
+  codec.errors.error_exit = fail;
+  codec.errors.output_message = print_nothing;
+  codec.jpeg.client_data = static_cast<JpegErrors*>(&codec);
+}
 
 bool read_jpeg_header(JpegReader& reader) {
   if (setjmp(reader.jump)) return false;
@@ -75,11 +87,8 @@ bool read_jpeg_rows(JpegReader& reader, JSAMPLE* row, Image<float>& pixels) {
   return true;
 }
 
-struct JpegWriter {
+struct JpegWriter : JpegErrors {
   jpeg_compress_struct jpeg{};
-  jpeg_error_mgr errors{};
-  std::jmp_buf jump{};
-  char message[JMSG_LENGTH_MAX] = {};
   unsigned char* bytes = nullptr;
   unsigned long size = 0;
   bool created = false;
@@ -89,12 +98,6 @@ struct JpegWriter {
     std::free(bytes);
   }
 };
-
-void fail_writing(j_common_ptr jpeg) {
-  auto& writer = *static_cast<JpegWriter*>(jpeg->client_data);
-  jpeg->err->format_message(jpeg, writer.message);
-  std::longjmp(writer.jump, 1);
-}
 
 bool write_jpeg_rows(JpegWriter& writer, const Image<std::uint8_t>& image, int quality) {
   if (setjmp(writer.jump)) return false;
@@ -122,11 +125,8 @@ bool write_jpeg_rows(JpegWriter& writer, const Image<std::uint8_t>& image, int q
 RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
   JpegReader reader;
   reader.bytes = bytes;
-  reader.jpeg.err = jpeg_std_error(&reader.errors);
-  reader.errors.error_exit = fail;
+  catch_errors(reader);
   reader.errors.emit_message = fail_on_warning;
-  reader.errors.output_message = print_nothing;
-  reader.jpeg.client_data = &reader;
   if (!read_jpeg_header(reader)) throw std::runtime_error(reader.message);
   if (reader.jpeg.num_components != 1 && reader.jpeg.num_components != 3) {
     throw std::runtime_error("has " + std::to_string(reader.jpeg.num_components) + " components, expected gray or RGB");
@@ -143,10 +143,7 @@ RawImage decode_jpeg(std::string_view bytes, const HeaderCheck& check) {
 
 std::string encode_jpeg(const Image<std::uint8_t>& image, int quality) {
   JpegWriter writer;
-  writer.jpeg.err = jpeg_std_error(&writer.errors);
-  writer.errors.error_exit = fail_writing;
-  writer.errors.output_message = print_nothing;
-  writer.jpeg.client_data = &writer;
+  catch_errors(writer);
   if (!write_jpeg_rows(writer, image, quality))
     throw resource_error("cannot encode a JPEG: " + std::string(writer.message));
   return {reinterpret_cast<const char*>(writer.bytes), writer.size};

@@ -26,15 +26,15 @@ struct PlyLayout {
     return 3 * (doubles ? sizeof(double) : sizeof(float)) + (normals ? sizeof(Eigen::Vector3f) : 0) +
            (colors ? sizeof(Rgb) : 0);
   }
-  void put_vertex(const PointCloud& cloud, std::size_t i, RecordEncoder& encoder) const {
-    for (const double x : cloud.points[i]) doubles ? encoder.put(x) : encoder.put(static_cast<float>(x));
-    if (normals) encoder.put(cloud.normals[i]);
-    if (colors) encoder.put(cloud.colors[i]);
+  void put_vertex(const PointCloud& cloud, std::size_t i, FileBlock& block) const {
+    for (const double x : cloud.points[i]) doubles ? block.put(x) : block.put(static_cast<float>(x));
+    if (normals) block.put(cloud.normals[i]);
+    if (colors) block.put(cloud.colors[i]);
   }
   static constexpr std::size_t face_size = 1 + sizeof(Triangle);
-  static void put_face(const Triangle& triangle, RecordEncoder& encoder) {
-    encoder.put(std::uint8_t{3});
-    encoder.put(triangle);
+  static void put_face(const Triangle& triangle, FileBlock& block) {
+    block.put(std::uint8_t{3});
+    block.put(triangle);
   }
   std::string header(std::size_t vertices, std::size_t faces) const {
     const std::string coordinate = doubles ? "property double " : "property float ";
@@ -79,9 +79,9 @@ void write_ply(const std::filesystem::path& path, const TriangleMesh& mesh, cons
   const std::size_t first_face = header.size() + count * layout.vertex_size();
   file.expect(first_face + mesh.triangles.size() * PlyLayout::face_size);
   write_records(file, header.size(), count, layout.vertex_size(), context,
-                [&](std::size_t i, RecordEncoder& encoder) { layout.put_vertex(cloud, i, encoder); });
+                [&](std::size_t i, FileBlock& block) { layout.put_vertex(cloud, i, block); });
   write_records(file, first_face, mesh.triangles.size(), PlyLayout::face_size, context,
-                [&](std::size_t i, RecordEncoder& encoder) { PlyLayout::put_face(mesh.triangles[i], encoder); });
+                [&](std::size_t i, FileBlock& block) { PlyLayout::put_face(mesh.triangles[i], block); });
   file.commit();
 }
 
@@ -97,15 +97,13 @@ void write_ply(const std::filesystem::path& path, const MeshInStrips& mesh, cons
     MeshStrip strip = mesh.strip(k, MeshInStrips::Parts::all);
     FileBlock vertices(header.size() + strip.first_vertex * layout.vertex_size(),
                        strip.vertices * layout.vertex_size());
-    RecordEncoder to_vertices = vertices.encoder();
-    for (std::size_t i = 0; i < strip.vertices; ++i) layout.put_vertex(strip.mesh.vertices, i, to_vertices);
+    for (std::size_t i = 0; i < strip.vertices; ++i) layout.put_vertex(strip.mesh.vertices, i, vertices);
     vertices.write_to(file);
 
     FileBlock faces(first_face + strip.first_triangle * PlyLayout::face_size,
                     strip.mesh.triangles.size() * PlyLayout::face_size);
-    RecordEncoder to_faces = faces.encoder();
     const auto first = static_cast<std::uint32_t>(strip.first_vertex);
-    for (const auto& [a, b, c] : strip.mesh.triangles) PlyLayout::put_face({a + first, b + first, c + first}, to_faces);
+    for (const auto& [a, b, c] : strip.mesh.triangles) PlyLayout::put_face({a + first, b + first, c + first}, faces);
     faces.write_to(file);
   });
   file.commit();

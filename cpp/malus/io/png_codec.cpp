@@ -13,13 +13,15 @@ namespace {
 
 // libpng reports errors by longjmp, which must not pass over C++ destructors. So the functions that call setjmp own
 // nothing, and callbacks store C++ exceptions here instead of throwing through C frames.
-struct PngReader {
-  std::string_view bytes;
-  std::size_t position = 0;
+struct PngCodec {
   png_structp png = nullptr;
   png_infop info = nullptr;
   std::string error;
+};
 
+struct PngReader : PngCodec {
+  std::string_view bytes;
+  std::size_t position = 0;
   Alpha alpha = Alpha::dropped;
   ImageHeader header;
   int bits = 8, scale = 1;
@@ -30,8 +32,8 @@ struct PngReader {
   ~PngReader() { png_destroy_read_struct(&png, &info, nullptr); }
 };
 
-void on_read_error(png_structp png, png_const_charp message) {
-  static_cast<PngReader*>(png_get_error_ptr(png))->error = message;
+void on_error(png_structp png, png_const_charp message) {
+  static_cast<PngCodec*>(png_get_error_ptr(png))->error = message;
   std::longjmp(png_jmpbuf(png), 1);
 }
 
@@ -85,21 +87,13 @@ bool read_png_rows(PngReader& reader) {
   return true;
 }
 
-struct PngWriter {
+struct PngWriter : PngCodec {
   explicit PngWriter(AtomicFile& target) : file(target) {}
   ~PngWriter() { png_destroy_write_struct(&png, &info); }
 
   AtomicFile& file;
-  png_structp png = nullptr;
-  png_infop info = nullptr;
   std::exception_ptr failure;
-  std::string error;
 };
-
-void on_write_error(png_structp png, png_const_charp message) {
-  static_cast<PngWriter*>(png_get_error_ptr(png))->error = message;
-  std::longjmp(png_jmpbuf(png), 1);
-}
 
 void write_bytes(png_structp png, png_bytep data, png_size_t size) {
   auto& writer = *static_cast<PngWriter*>(png_get_io_ptr(png));
@@ -144,7 +138,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
   PngReader reader;
   reader.bytes = bytes;
   reader.alpha = alpha;
-  reader.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, &reader, on_read_error, on_warning);
+  reader.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, static_cast<PngCodec*>(&reader), on_error, on_warning);
   if (reader.png) reader.info = png_create_info_struct(reader.png);
   if (!reader.info) throw std::bad_alloc();
   if (!read_png_header(reader)) throw std::runtime_error(reader.error);
@@ -168,7 +162,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
 
 void encode_png(AtomicFile& file, const void* pixels, Size size, int channels, int bits) {
   PngWriter writer(file);
-  writer.png = png_create_write_struct(PNG_LIBPNG_VER_STRING, &writer, on_write_error, on_warning);
+  writer.png = png_create_write_struct(PNG_LIBPNG_VER_STRING, static_cast<PngCodec*>(&writer), on_error, on_warning);
   if (writer.png) writer.info = png_create_info_struct(writer.png);
   if (!writer.info) throw std::bad_alloc();
   if (write_png_rows(writer, static_cast<const png_byte*>(pixels), size, channels, bits)) return;

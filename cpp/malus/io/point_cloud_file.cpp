@@ -25,14 +25,20 @@ void require_no_scan(const std::filesystem::path& path, const InputFile& file) {
     throw file.error("is LAS or E57, which only the Python package reads (malus run); expected PLY or text");
 }
 
+/// The points of any file, and the faces of a PLY if they are wanted.
+TriangleMesh read_points(const std::filesystem::path& path, const std::string& what, PlyParts parts,
+                         const Context& context) {
+  InputFile file(path, what);
+  require_no_scan(path, file);
+  if (is_ply(file)) return read_ply(file, parts, context);
+  require_text(file);
+  return {read_xyz(file, context), {}};
+}
+
 }  // namespace
 
 PointCloud read_point_cloud(const std::filesystem::path& path, const Context& context, const std::string& what) {
-  InputFile file(path, what);
-  require_no_scan(path, file);
-  if (is_ply(file)) return read_ply(file, PlyParts::vertices, context).vertices;
-  require_text(file);
-  return read_xyz(file, context);
+  return read_points(path, what, PlyParts::vertices, context).vertices;
 }
 
 TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context) {
@@ -44,11 +50,7 @@ TriangleMesh read_mesh(const std::filesystem::path& path, const Context& context
 }
 
 TriangleMesh read_cloud_or_mesh(const std::filesystem::path& path, const Context& context) {
-  InputFile file(path, "reference");
-  require_no_scan(path, file);
-  if (is_ply(file)) return read_ply(file, PlyParts::vertices_and_faces, context);
-  require_text(file);
-  return {read_xyz(file, context), {}};
+  return read_points(path, "reference", PlyParts::vertices_and_faces, context);
 }
 
 }  // namespace malus

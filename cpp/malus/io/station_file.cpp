@@ -3,7 +3,6 @@
 #include "malus/io/section_reading_internal.h"
 #include "malus/io/station_file_internal.h"
 #include "malus/io/station_sections_internal.h"
-#include "malus/io/station_tables_internal.h"
 #include "malus/io/toml_document_internal.h"
 #include "malus/io/toml_table_internal.h"
 

@@ -6,6 +6,7 @@
 
 #include <toml++/toml.h>
 
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -60,5 +61,11 @@ void read_scale_bars(const TomlTable& document, bool has_prior, StationFile& sta
 
 /// [[patch]] and [[profile]], which must lie in the polarized image of this size.
 void read_regions(const TomlTable& document, Size size, StationFile& station);
+
+/// All sections: as read_station_file, but from tables that are parsed already. `path`: the file, whose folder relative
+/// paths start at. `given`: nullptr = all data are in files; otherwise the tables name no images, mask or camera.
+/// `shared_photos`: those of tables without [photos].
+StationFile read_station_tables(const toml::table& root, const std::filesystem::path& path, const GivenInMemory* given,
+                                const std::optional<PhotosSpec>& shared_photos = std::nullopt);
 
 }  // namespace malus

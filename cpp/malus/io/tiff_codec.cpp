@@ -317,19 +317,17 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   require(tiff != nullptr);
   const std::size_t row_samples = static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(image.channels());
   const auto rows_per_strip = static_cast<int>(std::max<std::size_t>(1, (1 << 20) / (row_samples * sizeof(Sample))));
-  TIFFSetField(tiff.get(), TIFFTAG_IMAGEWIDTH, static_cast<std::uint32_t>(image.width()));
-  TIFFSetField(tiff.get(), TIFFTAG_IMAGELENGTH, static_cast<std::uint32_t>(image.height()));
-  TIFFSetField(tiff.get(), TIFFTAG_SAMPLESPERPIXEL, static_cast<std::uint16_t>(image.channels()));
-  TIFFSetField(tiff.get(), TIFFTAG_BITSPERSAMPLE, static_cast<std::uint16_t>(8 * sizeof(Sample)));
-  TIFFSetField(tiff.get(), TIFFTAG_SAMPLEFORMAT, static_cast<std::uint16_t>(format));
-  TIFFSetField(tiff.get(), TIFFTAG_PLANARCONFIG, static_cast<std::uint16_t>(PLANARCONFIG_CONTIG));
-  TIFFSetField(tiff.get(), TIFFTAG_COMPRESSION, static_cast<std::uint16_t>(compression));
-  if (compression != COMPRESSION_NONE) {
-    TIFFSetField(tiff.get(), TIFFTAG_PREDICTOR, static_cast<std::uint16_t>(PREDICTOR_HORIZONTAL));
-  }
-  TIFFSetField(tiff.get(), TIFFTAG_PHOTOMETRIC,
-               static_cast<std::uint16_t>(image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK));
-  TIFFSetField(tiff.get(), TIFFTAG_ROWSPERSTRIP, static_cast<std::uint32_t>(rows_per_strip));
+  const auto set = [&](ttag_t tag, int value) { TIFFSetField(tiff.get(), tag, value); };
+  set(TIFFTAG_IMAGEWIDTH, image.width());
+  set(TIFFTAG_IMAGELENGTH, image.height());
+  set(TIFFTAG_SAMPLESPERPIXEL, image.channels());
+  set(TIFFTAG_BITSPERSAMPLE, 8 * static_cast<int>(sizeof(Sample)));
+  set(TIFFTAG_SAMPLEFORMAT, format);
+  set(TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
+  set(TIFFTAG_COMPRESSION, compression);
+  if (compression != COMPRESSION_NONE) set(TIFFTAG_PREDICTOR, PREDICTOR_HORIZONTAL);
+  set(TIFFTAG_PHOTOMETRIC, image.channels() == 3 ? PHOTOMETRIC_RGB : PHOTOMETRIC_MINISBLACK);
+  set(TIFFTAG_ROWSPERSTRIP, rows_per_strip);
   if (add_tags) add_tags(tiff.get());
   std::uint32_t strip = 0;
   for (int v = 0; v < image.height(); v += rows_per_strip, ++strip) {

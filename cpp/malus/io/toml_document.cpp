@@ -11,19 +11,21 @@
 namespace malus {
 namespace {
 
-/// Parts of the dotted key that a line begins with.
-std::ptrdiff_t key_parts(std::string_view line) {
-  const auto begin =
-      std::find_if_not(line.begin(), line.end(), [](char c) { return c == ' ' || c == '\t' || c == '['; });
-  const auto end = std::find_if_not(begin, line.end(), [](char c) {
-    return std::isalnum(static_cast<unsigned char>(c)) != 0 ||
-           std::string_view("._-\"' \t").find(c) != std::string_view::npos;
-  });
-  return std::count(begin, end, '.') + 1;
+/// Parts of the longest dotted key in a line. A key ends at an equals sign, or at the bracket of a header; dots in a
+/// text or list are no key.
+int key_parts(std::string_view line) {
+  int most = 0, parts = 1;
+  for (const char c : line) {
+    if (c == '=' || c == ']') most = std::max(most, parts);
+    const bool is_in_key = std::isalnum(static_cast<unsigned char>(c)) != 0 ||
+                           std::string_view("._-\"' \t").find(c) != std::string_view::npos;
+    parts = is_in_key ? parts + (c == '.') : 1;
+  }
+  return most;
 }
 
 void require_short_keys(const std::string& text, const std::filesystem::path& path) {
-  constexpr std::ptrdiff_t most_parts = 100;
+  constexpr int most_parts = 100;
   std::size_t begin = 0;
   for (int line = 1; begin < text.size(); ++line) {
     const std::size_t end = std::min(text.find('\n', begin), text.size());

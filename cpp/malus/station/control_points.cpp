@@ -54,14 +54,10 @@ std::vector<std::string> control_warnings(const StationFile& station) {
   for (const ControlResidual& residual : control_residuals(station)) {
     const double off = residual.length_px();
     if (off <= worth_a_warning_px) continue;
-    std::ostringstream message;
-    message << "[[control]] " << residual.name << ": ";
-    if (std::isnan(off)) {
-      message << "is marked in the image, but lies behind the camera";
-    } else {
-      message << "its mark lies " << with_digits(off, 3) << " px from where the camera sees the point";
-    }
-    warnings.push_back(message.str());
+    const std::string finding =
+        std::isnan(off) ? "is marked in the image, but lies behind the camera"
+                        : "its mark lies " + with_digits(off, 3) + " px from where the camera sees the point";
+    warnings.push_back("[[control]] " + residual.name + ": " + finding);
   }
   if (station.resection && station.resection->doubtful)
     warnings.push_back("[[control]] " + *station.resection->doubtful +

@@ -8,14 +8,15 @@
 #include <vector>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/core/cell_values_internal.h"
 #include "malus/core/degrees_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/image_order_internal.h"
 #include "malus/evidence/response_check_internal.h"
-#include "malus/io/image_file_internal.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/polarization/decompose_internal.h"
 #include "malus/polarization/frame_calibration_internal.h"
@@ -131,22 +132,19 @@ std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
                  {{"misfit_fraction", misfits / object}}};
 }
 
-/// Squared mean of (s1, s2) divided by its variance, in a cell from (u0, v0) on; the variance is scaled by the
-/// residuals.
-std::optional<double> polarization_of_cell(const PolarizationState& state, int u0, int v0) {
+/// Squared mean of (s1, s2) in a cell divided by its variance, which is scaled by the residuals.
+std::optional<double> polarization_of_cell(const PolarizationState& state, int column, int row) {
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   double variance = 0, residuals = 0;
   int pixels = 0;
-  for (int v = v0; v < std::min(v0 + polarization_cell_px, state.size().height); ++v) {
-    for (int u = u0; u < std::min(u0 + polarization_cell_px, state.size().width); ++u) {
-      if (!state.is_valid(u, v)) continue;
-      const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
-      sum += state.stokes(u, v).tail<2>();
-      variance += covariance(1, 1) + covariance(2, 2);
-      residuals += std::pow(state.residual(u, v), 2);
-      ++pixels;
-    }
-  }
+  for_each_pixel(cell_rect(column, row, polarization_cell_px, state.size()), [&](int u, int v) {
+    if (!state.is_valid(u, v)) return;
+    const Eigen::Matrix3d covariance = state.stokes_covariance(u, v);
+    sum += state.stokes(u, v).tail<2>();
+    variance += covariance(1, 1) + covariance(2, 2);
+    residuals += std::pow(state.residual(u, v), 2);
+    ++pixels;
+  });
   if (pixels < polarization_cell_px || !(variance > 0) || !(residuals > 0)) return std::nullopt;
   return sum.squaredNorm() / (variance * residuals / pixels);
 }
@@ -154,9 +152,9 @@ std::optional<double> polarization_of_cell(const PolarizationState& state, int u
 /// Finding for images that are the same at all angles: no polarizer was in front of the lens, or it had no effect.
 std::optional<Finding> caution_of_no_polarization(const PolarizationState& state) {
   std::vector<double> cells;
-  for (int v = 0; v < state.size().height; v += polarization_cell_px)
-    for (int u = 0; u < state.size().width; u += polarization_cell_px)
-      if (const auto found = polarization_of_cell(state, u, v)) cells.push_back(*found);
+  for_each_pixel(cells_over(state.size(), polarization_cell_px), [&](int column, int row) {
+    if (const auto found = polarization_of_cell(state, column, row)) cells.push_back(*found);
+  });
   if (cells.empty()) return std::nullopt;
   const double typical = median_in_place(cells);
   if (typical > least_polarization) return std::nullopt;

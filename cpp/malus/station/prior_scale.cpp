@@ -80,10 +80,9 @@ std::vector<std::string> scale_warnings(const StationFile& station) {
   for (std::size_t i = 0; i < station.scale_errors.size(); ++i) {
     const ScaleBar& bar = station.scale_bars[i];
     if (std::abs(station.scale_errors[i]) <= worth_a_warning * bar.distance) continue;
-    std::ostringstream message;
-    message << "[[scale]] " << i + 1 << (bar.check ? " (check)" : "") << ": " << with_digits(bar.distance, 6) << " "
-            << station.unit << " known, off by " << with_digits(station.scale_errors[i], 3) << " " << station.unit;
-    warnings.push_back(message.str());
+    warnings.push_back("[[scale]] " + std::to_string(i + 1) + (bar.check ? " (check)" : "") + ": " +
+                       with_digits(bar.distance, 6) + " " + station.unit + " known, off by " +
+                       with_digits(station.scale_errors[i], 3) + " " + station.unit);
   }
   return warnings;
 }

@@ -194,11 +194,10 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
                                                                 const DepthPrior& prior,
                                                                 const InputEvidence& evidence) {
   const OpticsSpec& optics = job.station.file.optics;
-  RefineInput input;
-  input.refractive_index = optics.refractive_index;
-  input.reflection = optics.reflection;
-  input.metal = optics.metal;
-  input.labels = labels_in_view(job.station, job.context);
+  const RefineInput input{.refractive_index = optics.refractive_index,
+                          .reflection = optics.reflection,
+                          .labels = labels_in_view(job.station, job.context),
+                          .metal = optics.metal};
   RefineResult refined = refine(*polarization.state, prior, input, job.options.refine, job.context);
   job.times["linear_solver_share"] = refined.report.linear_solver_share;
   RefinementFindings findings{refine_report_json(refined.report).dump(2) + "\n", std::move(refined.report.label),

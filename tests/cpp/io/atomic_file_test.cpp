@@ -74,8 +74,8 @@ TEST(AtomicFile, RecordsAreWrittenByAllThreadsAndHashedPieceByPiece) {
   AtomicFile file(path);
   file.expect(header + count * record);
   file.write(std::string(header, '#'));
-  write_records(file, header, count, record, context, [&](std::size_t i, RecordEncoder& encoder) {
-    for (std::size_t k = 0; k < record; ++k) encoder.put(byte_of(i * record + k));
+  write_records(file, header, count, record, context, [&](std::size_t i, FileBlock& block) {
+    for (std::size_t k = 0; k < record; ++k) block.put(byte_of(i * record + k));
   });
   file.commit();
   const std::string written = read_file(path, "records");

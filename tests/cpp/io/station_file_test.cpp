@@ -203,6 +203,19 @@ TEST_F(StationFileTest, MetalsThatAreUnknownOrContradictTheReflectionAreRefused)
   refused("metal = \"bronze\"\nreflection = \"label.png\"", "labels", "whole object");
 }
 
+TEST_F(StationFileTest, KeysOfManyPartsAreRefusedWhereverTheyStandAndDotsInATextAreNot) {
+  std::string key = "a";
+  for (int part = 1; part < 50'000; ++part) key += ".a";
+  for (const std::string& line : {key + " = 1", "[" + key + "]", "x = {" + key + " = 1}"}) {
+    Sections sections;
+    sections.rest = line + "\n";
+    rejects(sections, "a key of more than 100 parts");
+  }
+  Sections sections;
+  sections.rest = "[object]\ndescription = \"\"\"\nContents " + std::string(120, '.') + " 5\n\"\"\"\n";
+  EXPECT_NO_THROW(read(sections));
+}
+
 TEST_F(StationFileTest, MissingFilesAreNamed) {
   rejects_change("pol/a_045.png", "pol/a_046.png", "[polarized].images", "a_046.png", "no such file");
   rejects_change("pol/a_045.png", "pol/a_000.png", "a_000.png", "listed twice");
