@@ -782,6 +782,11 @@ def test_reasons_are_given_once_for_all_their_stations() -> None:
         (same, ["a", "b", "c"]),
     ]
     assert page.reasons_of([]) == []
+    # Names of files: what is a number in them is no figure, and they may have any sign.
+    named = [f"Images are linear according to their files ({file} and 5 more)." for file in ("#1.tif", "IMG_0012.JPG")]
+    other = named[1].replace("0012", "0030")
+    told = [{"station": name, "reasons": said} for name, said in zip("abc", [*named, other], strict=True)]
+    assert page.reasons_of(told) == [(named[0], ["a"]), (named[1], ["b"]), (other, ["c"])]
 
 
 def test_maps_on_the_page_are_cut_to_what_they_show_and_have_a_scale(tmp_path: Path) -> None:
