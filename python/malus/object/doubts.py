@@ -39,7 +39,8 @@ def warnings_of(
     if thing.closed and not closed:
         warnings.append("object: the mesh was to be closed, but it has open edges")
     if compared is not None and compared["status"] != "done":
-        warnings.append(f"object: is not compared with {compared['file']}: {compared['status']}")
+        # The page shows the warnings, and must not reveal the scan's path on this computer.
+        warnings.append(f"object: is not compared with {Path(compared['file']).name}: {compared['status']}")
     return warnings
 
 
