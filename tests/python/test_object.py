@@ -324,6 +324,25 @@ def test_closed_surface_is_the_open_one_and_a_marked_guess(thin: OrientedPoints,
     assert share < closed.measured.mean() - 0.01
 
 
+def test_what_a_killed_run_leaves_of_closing_a_mesh_is_removed(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """COLMAP's cloud, mesh and its own files of many gigabytes, if neither it nor the program could tidy up."""
+
+    def killed(self: Colmap, command: str, arguments: dict[str, Any], log: Path, *, working_folder: Path) -> None:
+        (working_folder / "PR_part").touch()
+        shutil.copytree(tmp_path, killed_at)
+
+    killed_at = tmp_path.with_name(f"{tmp_path.name}-killed")
+    monkeypatch.setattr(Colmap, "run", killed)
+    mesh = joined_mesh(pieces(thin, CELL), tmp_path.with_name(f"{tmp_path.name}-open"), 1.0)
+    with pytest.raises(FileNotFoundError):
+        closed_surface(mesh, CELL, tmp_path, Colmap(1))
+    assert not list(tmp_path.iterdir()) and len(list(killed_at.rglob("*"))) == 3
+    object_run._clear(killed_at)
+    assert not list(killed_at.iterdir())
+
+
 def test_parts_far_apart_keep_their_own_seams(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,8 +26,6 @@ _POINT_WEIGHT = 4.0
 #: A vertex counts as measured if a point lies within this many times the local spacing of the points.
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
-#: The files that COLMAP reads and writes.
-_FILES = ("points.ply", "poisson.ply")
 #: Connected parts with a smaller share of the triangles are dropped.
 _LEAST_PIECE = 0.005
 #: Most triangles of a mesh that is simplified as a whole.
@@ -76,7 +75,7 @@ class ObjectMesh:
 
 
 def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap, halved: int = 0) -> ObjectMesh:
-    """Closed mesh of oriented points; `folder` keeps the cloud, COLMAP's mesh and its log.
+    """Closed mesh of oriented points; `folder` keeps COLMAP's log.
 
     Cells are as fine as the GSD halved so often, except for objects larger than 8000 cells; where points are sparser, they are larger.
     Raises DataError if there is no surface.
@@ -87,20 +86,24 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     local = (points.points - middle).astype(np.float32)
     cells = _cells_across(local, gsd) * 2**halved
     depth = int(np.clip(math.ceil(math.log2(cells)), _LEAST_DEPTH, _MOST_DEPTH))
-    cloud, raw = (folder / name for name in _FILES)
     properties = columns("xyz", local, "f4") | columns(("nx", "ny", "nz"), points.normals, "f4")
     gray = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
-    write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
-    colmap.run(
-        "poisson_mesher",
-        {
-            "input_path": cloud.resolve(), "output_path": raw.resolve(), "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
-            "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
-        },
-        folder / "poisson.log",
-        working_folder=folder,  # COLMAP keeps large files of its own there.
-    )  # fmt: skip
-    vertices, triangles = read_mesh(raw)
+    folder.mkdir(parents=True, exist_ok=True)
+    # COLMAP keeps large files of its own in its folder. What a killed run leaves there is removed with the folder (run.py).
+    with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as temporary:
+        scratch = Path(temporary).resolve()
+        cloud, raw = scratch / "points.ply", scratch / "poisson.ply"
+        write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
+        colmap.run(
+            "poisson_mesher",
+            {
+                "input_path": cloud, "output_path": raw, "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
+                "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
+            },
+            folder / "poisson.log",
+            working_folder=scratch,
+        )  # fmt: skip
+        vertices, triangles = read_mesh(raw)
     # COLMAP leaves a few vertices that are NaN; the holes without them are closed below.
     numbers = np.asarray(np.isfinite(vertices).all(axis=1))
     triangles = triangles[numbers[triangles].all(1)]
@@ -117,11 +120,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
     """
     points = OrientedPoints(mesh.vertices, mesh.normals, mesh.sigma, np.ones(len(mesh.vertices), np.int64))
     halved = 0 if mesh.level is None else int(mesh.level.max())
-    try:
-        closed = poisson_mesh(points, gsd, folder, colmap, halved)
-    finally:
-        for name in _FILES:
-            (folder / name).unlink(missing_ok=True)
+    closed = poisson_mesh(points, gsd, folder, colmap, halved)
     # The octree of a large object ends at larger cells.
     finest = min(halved, max(0, round(_MOST_DEPTH - math.log2(_cells_across(mesh.vertices, gsd)))))
     if mesh.level is None or finest == 0:
