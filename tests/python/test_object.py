@@ -731,6 +731,21 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     require_gone(pair, output)
 
 
+def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise DataError("stations agree on no surface")
+
+    outcomes = [
+        {"station": "o0", "status": "done", "reason": "", "manifest": "1"},
+        {"station": "o1", "status": "failed", "reason": "pol_030.tif: is no image"},
+    ]
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    monkeypatch.setattr(object_run, "_fuse", fail)
+    with pytest.raises(DataError) as caught:
+        run_object(Object.load(pair), pair.parent / "out")
+    assert caught.value.__notes__ == ["warning before it: o1: is not in the surface: pol_030.tif: is no image"]
+
+
 def require_gone(pair: Path, output: Path) -> None:
     """Takes o1 out of the object file, and runs it again: nothing of the object tells of it any more."""
     outcome = malus_here("object", edit(pair, ', "o1/station.toml"', ""), "-o", output, "--threads", "1")

@@ -32,7 +32,7 @@ def warnings_of(
     for outcome in outcomes:
         name = outcome["station"]
         if outcome["status"] != "done":
-            warnings.append(f"{name}: is not in the surface: {outcome['reason']}")
+            warnings += left_out([outcome])
             continue
         own = Workspace(output / "stations" / name).quality["warnings"]
         warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
@@ -42,6 +42,15 @@ def warnings_of(
         # The page shows the warnings, and must not reveal the scan's path on this computer.
         warnings.append(f"object: is not compared with {Path(compared['file']).name}: {compared['status']}")
     return warnings
+
+
+def left_out(outcomes: Sequence[Outcome]) -> list[str]:
+    """A warning about each station that is not in the surface."""
+    return [
+        f"{outcome['station']}: is not in the surface: {outcome['reason']}"
+        for outcome in outcomes
+        if outcome["status"] != "done"
+    ]
 
 
 def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
