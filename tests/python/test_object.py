@@ -61,7 +61,7 @@ from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
 from malus.object.mesh_file import Coverage
 from malus.object.meshing import ObjectMesh, face_normals
-from malus.object.ply import read_mesh, write_ply
+from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
 from malus.pages import template
@@ -1483,10 +1483,30 @@ def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> N
         folder.mkdir(parents=True)
         channels = 1 if values.ndim == 2 else 3
         (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
-    points, normals = _read_cloud(tmp_path, "mm")
-    assert points.shape == (24, 3) and normals is not None
+    read = _read_cloud(tmp_path, "mm")
+    assert read is not None
+    points, normals = read
+    assert points.shape == (24, 3)
     np.testing.assert_allclose(points[:, 2], 5)
     np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)
+
+
+def test_points_without_a_normal_do_not_count_against_those_beside_them(views: list[View], tmp_path: Path) -> None:
+    """A normal that is not known is zero in the file. No station looks from below."""
+    normals = np.random.default_rng(0).normal(size=(40000, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = normals[normals[:, 2] < -0.5]
+    half = normals[::2]
+    read = []
+    for places, given in ((half, half), (normals, np.where((np.arange(len(normals)) % 2 == 0)[:, None], normals, 0))):
+        axes = columns("xyz", RADIUS * places, "f8") | columns(("nx", "ny", "nz"), given, "f4")
+        write_ply(tmp_path / "cloud.ply", axes, None)
+        cloud = _read_cloud(tmp_path / "cloud.ply", "mm")
+        assert cloud is not None
+        read.append(object_points(views[:5], [stereo(*cloud)]))
+    assert (read[0].stations == 0).sum() > 500 and (read[1].points == read[0].points).all()
+    write_ply(tmp_path / "cloud.ply", axes | columns(("nx", "ny", "nz"), 0 * normals, "f4"), None)
+    assert _read_cloud(tmp_path / "cloud.ply", "mm") is None
 
 
 def test_stations_none_of_which_is_sure_enough_are_no_surface(views: list[View]) -> None:
