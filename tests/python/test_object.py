@@ -388,7 +388,7 @@ def test_a_surface_near_a_node_between_blocks_has_no_slit(
 def test_crumbs_and_what_is_unsure_are_left_out(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(joining, "_LEAST_PART", 0.02)  # the crumb is 1.2 % of this small mesh
+    monkeypatch.setattr(joining, "LEAST_PART", 0.02)  # the crumb is 1.2 % of this small mesh
     sigma = np.where(thin.points[:, 2] > 0, 1.0, SIGMA)
     near = np.linalg.norm(thin.points - [0, 0, -RADIUS], axis=1) < 3 * CELL
     points, normals = (

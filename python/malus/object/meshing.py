@@ -27,7 +27,7 @@ _POINT_WEIGHT = 4.0
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
 #: Connected parts with a smaller share of the triangles are dropped.
-_LEAST_PIECE = 0.005
+LEAST_PART = 0.005
 #: Most triangles of a mesh that is simplified as a whole.
 MOST_TO_SIMPLIFY = 4_000_000
 
@@ -177,7 +177,7 @@ def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floa
     """The mesh without small separate parts and without unused vertices."""
     piece = part_numbers(triangles, len(vertices))[triangles[:, 0]]
     size = np.bincount(piece)
-    kept = triangles[size[piece] >= _LEAST_PIECE * len(triangles)]
+    kept = triangles[size[piece] >= LEAST_PART * len(triangles)]
     used, renumbered = np.unique(kept, return_inverse=True)
     return vertices[used], renumbered.reshape(-1, 3)
 
