@@ -906,6 +906,20 @@ def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkey
         Object.load(edit(pair, "closed = true", "closed = false")).check()
 
 
+def test_a_run_of_an_object_from_photos_begins_with_colmap(
+    photographed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was looked for after the polarization of all stations had been computed."""
+
+    def none(*_: Any) -> None:
+        raise ExternalError("COLMAP is missing")
+
+    monkeypatch.setattr(importlib.import_module("malus.object.definition"), "Colmap", none)
+    with pytest.raises(ExternalError, match="COLMAP is missing"):
+        run_object(Object.load(photographed), photographed.parent / "out")
+    assert not (photographed.parent / "out").exists()
+
+
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
 def test_stations_are_found_in_the_photos_they_share(tmp_path: Path) -> None:
     """Two stations at one place, and one with a damaged image."""
