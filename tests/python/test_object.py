@@ -906,9 +906,7 @@ def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkey
         Object.load(edit(pair, "closed = true", "closed = false")).check()
 
 
-def test_a_run_of_an_object_from_photos_begins_with_colmap(
-    photographed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_an_object_from_photos_begins_with_colmap(photographed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It was looked for after the polarization of all stations had been computed."""
 
     def none(*_: Any) -> None:
