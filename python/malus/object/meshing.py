@@ -17,8 +17,6 @@ from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.views import Bools, Floats, scipy, unit
 from malus.photogrammetry.program import Colmap
 
-#: The finest cells of the octree have this size, in GSD.
-_CELL_GSD = 1.0
 #: Depth of the octree; memory grows fourfold with each level.
 _LEAST_DEPTH, _MOST_DEPTH = 6, 13
 #: Weight of the points' positions relative to their normals (Kazhdan and Hoppe 2013).
@@ -132,7 +130,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
 
 def _cells_across(points: NDArray[np.floating], gsd: float) -> float:
     """Side of the octree about the points, in cells of one GSD."""
-    return 1.1 * float(np.ptp(points, axis=0).max()) / (_CELL_GSD * gsd)
+    return 1.1 * float(np.ptp(points, axis=0).max()) / gsd
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
