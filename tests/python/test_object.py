@@ -60,7 +60,7 @@ from malus.object.figures import is_closed, mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
 from malus.object.mesh_file import Coverage
-from malus.object.meshing import ObjectMesh, face_normals
+from malus.object.meshing import ObjectMesh, closed_up, face_normals
 from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
@@ -265,6 +265,22 @@ def test_mesh_is_closed_and_on_the_sphere(sphere) -> None:  # type: ignore[no-un
     outward = (sphere.normals * sphere.vertices).sum(1) / RADIUS
     assert np.degrees(np.arccos(np.clip(outward, -1, 1))).max() < 5
     assert sphere.sigma[sphere.measured] == pytest.approx(SIGMA, rel=0.01)
+
+
+def test_holes_that_touch_are_closed(sphere) -> None:  # type: ignore[no-untyped-def]
+    """They got one fan together, whose middle edge had four triangles: the mesh was not closed."""
+    corner = sphere.triangles[0, 0]
+    about, apart = np.flatnonzero((sphere.triangles == corner).any(1)), []
+    for face in about.tolist():  # triangles about a vertex that have no other vertex in common
+        if all(len(np.intersect1d(sphere.triangles[face], sphere.triangles[other])) == 1 for other in apart):
+            apart.append(face)
+    assert len(apart) > 1
+    vertices, triangles = closed_up(sphere.vertices, np.delete(sphere.triangles, apart, 0))
+    assert is_closed(triangles) and len(vertices) == len(sphere.vertices) + len(apart)
+    # One large hole, and what is no surface: it is not closed, but it ends.
+    vertices, triangles = closed_up(sphere.vertices, np.delete(sphere.triangles, about, 0))
+    assert is_closed(triangles) and len(vertices) == len(sphere.vertices) + 1
+    assert not is_closed(closed_up(sphere.vertices, np.concatenate([sphere.triangles, [[0, 1, 2]], [[1, 0, 3]]]))[1])
 
 
 def test_closed_mesh_is_manifold_as_others_see_it(sphere) -> None:  # type: ignore[no-untyped-def]

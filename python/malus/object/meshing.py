@@ -205,10 +205,40 @@ def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, N
     border = edges[~np.isin(there, back)]
     if not len(border):
         return vertices, triangles
-    used, ends = np.unique(border, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    loop = connected(ends, len(used))
-    sums = np.stack([np.bincount(loop, vertices[used, axis]) for axis in range(3)], 1)
+    loop = _loops(border)
+    sums = np.stack([np.bincount(loop, vertices[border[:, 0], axis]) for axis in range(3)], 1)
     middles = sums / np.bincount(loop)[:, None]
-    fans = np.stack([border[:, 1], border[:, 0], count + loop[ends[:, 0]]], 1)
+    fans = np.stack([border[:, 1], border[:, 0], count + loop], 1)
     return np.concatenate([vertices, middles]), np.concatenate([triangles, fans])
+
+
+def _loops(border: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The number of the loop that each edge (N×2, first and last vertex) of open borders belongs to. No loop passes a vertex twice: holes
+    that touch at a vertex have a loop each.
+    """
+    starts, ends = border.T.tolist()
+    onward: dict[int, list[int]] = {}
+    for edge, start in enumerate(starts):
+        onward.setdefault(start, []).append(edge)
+    loop = np.empty(len(border), np.int64)
+    count = 0
+    for start in list(onward):
+        path: list[int] = []
+        at = {start: 0}  # of the vertices of the path: the edge with which it leaves them
+        vertex = start
+        while onward.get(vertex):
+            path.append(onward[vertex].pop())
+            vertex = ends[path[-1]]
+            if vertex not in at:
+                at[vertex] = len(path)
+                continue
+            around = path[at[vertex] :]
+            for edge in around[1:]:
+                del at[starts[edge]]
+            del path[at[vertex] :]
+            loop[around] = count
+            count += 1
+        if path:  # Where three triangles meet at an edge, a border need not be closed.
+            loop[path] = count
+            count += 1
+    return loop
