@@ -163,20 +163,12 @@ std::tuple<Eigen::VectorXi, Eigen::VectorXi, Eigen::VectorXd> sights(const Array
   return {std::move(rows), std::move(columns), std::move(cosines)};
 }
 
-Eigen::Array<bool, Eigen::Dynamic, 1> seen_by(const ArrayView& held, const Rows3& points, const Rows3& normals) {
-  Eigen::Array<bool, Eigen::Dynamic, 1> seen(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i)
-    seen[i] = sight(held.view, points.row(i), normals.row(i)).has_value();
-  return seen;
-}
-
 void bind_view(py::module_& module) {
   py::class_<ArrayView>(module, "ObjectView")
       .def(py::init(&array_view))
       .def_property_readonly("eye", [](const ArrayView& held) -> Eigen::Vector3d { return held.view.pose.centre(); })
       .def("points_at", &points_at, WithoutGil())
       .def("sights", &sights, WithoutGil())
-      .def("sees", &seen_by, WithoutGil())
       .def("may_see",
            [](const ArrayView& held, const Eigen::Vector3d& low, const Eigen::Vector3d& high) {
              return may_see(held.view, Eigen::AlignedBox3d(low, high));

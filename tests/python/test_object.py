@@ -60,8 +60,8 @@ from malus.object.figures import is_closed, mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
 from malus.object.mesh_file import Coverage
-from malus.object.meshing import ObjectMesh, face_normals
-from malus.object.ply import read_mesh, write_ply
+from malus.object.meshing import ObjectMesh, closed_up, face_normals
+from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
 from malus.pages import template
@@ -267,6 +267,22 @@ def test_mesh_is_closed_and_on_the_sphere(sphere) -> None:  # type: ignore[no-un
     assert sphere.sigma[sphere.measured] == pytest.approx(SIGMA, rel=0.01)
 
 
+def test_holes_that_touch_are_closed(sphere) -> None:  # type: ignore[no-untyped-def]
+    """They got one fan together, whose middle edge had four triangles: the mesh was not closed."""
+    corner = sphere.triangles[0, 0]
+    about, apart = np.flatnonzero((sphere.triangles == corner).any(1)), []
+    for face in about.tolist():  # triangles about a vertex that have no other vertex in common
+        if all(len(np.intersect1d(sphere.triangles[face], sphere.triangles[other])) == 1 for other in apart):
+            apart.append(face)
+    assert len(apart) > 1
+    vertices, triangles = closed_up(sphere.vertices, np.delete(sphere.triangles, apart, 0))
+    assert is_closed(triangles) and len(vertices) == len(sphere.vertices) + len(apart)
+    # One large hole, and what is no surface: it is not closed, but it ends.
+    vertices, triangles = closed_up(sphere.vertices, np.delete(sphere.triangles, about, 0))
+    assert is_closed(triangles) and len(vertices) == len(sphere.vertices) + 1
+    assert not is_closed(closed_up(sphere.vertices, np.concatenate([sphere.triangles, [[0, 1, 2]], [[1, 0, 3]]]))[1])
+
+
 def test_closed_mesh_is_manifold_as_others_see_it(sphere) -> None:  # type: ignore[no-untyped-def]
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.Trimesh(sphere.vertices, sphere.triangles, process=False)
@@ -324,6 +340,25 @@ def test_closed_surface_is_the_open_one_and_a_marked_guess(thin: OrientedPoints,
     assert share < closed.measured.mean() - 0.01
 
 
+def test_what_a_killed_run_leaves_of_closing_a_mesh_is_removed(
+    thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """COLMAP's cloud, mesh and its own files of many gigabytes, if neither it nor the program could tidy up."""
+
+    def killed(self: Colmap, command: str, arguments: dict[str, Any], log: Path, *, working_folder: Path) -> None:
+        (working_folder / "PR_part").touch()
+        shutil.copytree(tmp_path, killed_at)
+
+    killed_at = tmp_path.with_name(f"{tmp_path.name}-killed")
+    monkeypatch.setattr(Colmap, "run", killed)
+    mesh = joined_mesh(pieces(thin, CELL), tmp_path.with_name(f"{tmp_path.name}-open"), 1.0)
+    with pytest.raises(FileNotFoundError):
+        closed_surface(mesh, CELL, tmp_path, Colmap(1))
+    assert not list(tmp_path.iterdir()) and len(list(killed_at.rglob("*"))) == 3
+    object_run._clear(killed_at)
+    assert not list(killed_at.iterdir())
+
+
 def test_parts_far_apart_keep_their_own_seams(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -369,7 +404,7 @@ def test_a_surface_near_a_node_between_blocks_has_no_slit(
 def test_crumbs_and_what_is_unsure_are_left_out(
     thin: OrientedPoints, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(joining, "_LEAST_PART", 0.02)  # the crumb is 1.2 % of this small mesh
+    monkeypatch.setattr(joining, "LEAST_PART", 0.02)  # the crumb is 1.2 % of this small mesh
     sigma = np.where(thin.points[:, 2] > 0, 1.0, SIGMA)
     near = np.linalg.norm(thin.points - [0, 0, -RADIUS], axis=1) < 3 * CELL
     points, normals = (
@@ -712,6 +747,21 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     require_gone(pair, output)
 
 
+def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise DataError("stations agree on no surface")
+
+    outcomes = [
+        {"station": "o0", "status": "done", "reason": "", "manifest": "1"},
+        {"station": "o1", "status": "failed", "reason": "pol_030.tif: is no image"},
+    ]
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    monkeypatch.setattr(object_run, "_fuse", fail)
+    with pytest.raises(DataError) as caught:
+        run_object(Object.load(pair), pair.parent / "out")
+    assert caught.value.__notes__ == ["warning before it: o1: is not in the surface: pol_030.tif: is no image"]
+
+
 def require_gone(pair: Path, output: Path) -> None:
     """Takes o1 out of the object file, and runs it again: nothing of the object tells of it any more."""
     outcome = malus_here("object", edit(pair, ', "o1/station.toml"', ""), "-o", output, "--threads", "1")
@@ -782,6 +832,11 @@ def test_reasons_are_given_once_for_all_their_stations() -> None:
         (same, ["a", "b", "c"]),
     ]
     assert page.reasons_of([]) == []
+    # Names of files: what is a number in them is no figure, and they may have any sign.
+    named = [f"Images are linear according to their files ({file} and 5 more)." for file in ("#1.tif", "IMG_0012.JPG")]
+    other = named[1].replace("0012", "0030")
+    told = [{"station": name, "reasons": said} for name, said in zip("abc", [*named, other], strict=True)]
+    assert page.reasons_of(told) == [(named[0], ["a"]), (named[1], ["b"]), (other, ["c"])]
 
 
 def test_maps_on_the_page_are_cut_to_what_they_show_and_have_a_scale(tmp_path: Path) -> None:
@@ -865,6 +920,18 @@ def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkey
     monkeypatch.setattr(definition, "require_packages", none)
     with pytest.raises(ExternalError):
         Object.load(edit(pair, "closed = true", "closed = false")).check()
+
+
+def test_a_run_of_an_object_from_photos_begins_with_colmap(photographed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was looked for after the polarization of all stations had been computed."""
+
+    def none(*_: Any) -> None:
+        raise ExternalError("COLMAP is missing")
+
+    monkeypatch.setattr(importlib.import_module("malus.object.definition"), "Colmap", none)
+    with pytest.raises(ExternalError, match="COLMAP is missing"):
+        run_object(Object.load(photographed), photographed.parent / "out")
+    assert not (photographed.parent / "out").exists()
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
@@ -1444,10 +1511,30 @@ def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> N
         folder.mkdir(parents=True)
         channels = 1 if values.ndim == 2 else 3
         (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
-    points, normals = _read_cloud(tmp_path, "mm")
-    assert points.shape == (24, 3) and normals is not None
+    read = _read_cloud(tmp_path, "mm")
+    assert read is not None
+    points, normals = read
+    assert points.shape == (24, 3)
     np.testing.assert_allclose(points[:, 2], 5)
     np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)
+
+
+def test_points_without_a_normal_do_not_count_against_those_beside_them(views: list[View], tmp_path: Path) -> None:
+    """A normal that is not known is zero in the file. No station looks from below."""
+    normals = np.random.default_rng(0).normal(size=(40000, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = normals[normals[:, 2] < -0.5]
+    half = normals[::2]
+    read = []
+    for places, given in ((half, half), (normals, np.where((np.arange(len(normals)) % 2 == 0)[:, None], normals, 0))):
+        axes = columns("xyz", RADIUS * places, "f8") | columns(("nx", "ny", "nz"), given, "f4")
+        write_ply(tmp_path / "cloud.ply", axes, None)
+        cloud = _read_cloud(tmp_path / "cloud.ply", "mm")
+        assert cloud is not None
+        read.append(object_points(views[:5], [stereo(*cloud)]))
+    assert (read[0].stations == 0).sum() > 500 and (read[1].points == read[0].points).all()
+    write_ply(tmp_path / "cloud.ply", axes | columns(("nx", "ny", "nz"), 0 * normals, "f4"), None)
+    assert _read_cloud(tmp_path / "cloud.ply", "mm") is None
 
 
 def test_stations_none_of_which_is_sure_enough_are_no_surface(views: list[View]) -> None:

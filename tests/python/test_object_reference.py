@@ -206,7 +206,8 @@ def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path, monkeypatch
     assert outcome.code == 0, outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert "stands out" in quality["reference"]["status"]
-    assert any("is not compared with" in warning and "scan.ply" in warning for warning in quality["warnings"])
+    assert any("is not compared with scan.ply: " in warning for warning in quality["warnings"])
+    assert str(pair.parent) not in (output / "object/report/index.html").read_text()
     assert "--register" not in quality["reference"]["status"]
     assert not (output / "object/reference").exists()
 

@@ -27,10 +27,10 @@ def clouds_of(thing: Object, done: Sequence[Outcome], output: Path, gsd: float, 
         if "prior_cloud" in said:
             clouds.setdefault(said["prior_cloud"], (outcome["station"], said["prior_scale"]))
     for cloud, (station, scale) in clouds.items():
-        points, normals = _read_cloud(Path(cloud), thing.unit)
+        read = _read_cloud(Path(cloud), thing.unit)
         noise = Workspace(output / "stations" / station).manifest["steps"]["prior"]["notes"]["noise"]
-        if normals is not None:
-            count, points = len(points), scale * points
+        if read is not None:
+            count, points, normals = len(read[0]), scale * read[0], read[1]
             # Limited as the scales of views are: the margins about blocks are no wider.
             (*_, side) = _core.scales_of([gsd, gsd, max(gsd, pixel_side(points, threads))])
             parts.append(
@@ -42,9 +42,13 @@ def clouds_of(thing: Object, done: Sequence[Outcome], output: Path, gsd: float, 
     return parts
 
 
-def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats | None]:
-    """Points and unit normals of a station's cloud, a file or a workspace of COLMAP's dense stereo."""
-    if scans.is_scan(path):
-        points, normals = scans.read_scan(path, unit)
-        return points, None if normals is None else normals.astype(np.float64)
-    return _core.read_oriented_points(str(path))
+def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats] | None:
+    """Points of a station's cloud, a file or a workspace of COLMAP's dense stereo, that have normals, and these unit normals; None if there
+    are none.
+    """
+    points, normals = scans.read_scan(path, unit) if scans.is_scan(path) else _core.read_oriented_points(str(path))
+    if normals is None:
+        return None
+    # A normal that is not known is zero. Such a point confirms no other, and would make outliers of the good ones beside it.
+    known = normals.any(1)
+    return (points[known], normals[known].astype(np.float64)) if known.any() else None

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from malus.errors import DataError
 from malus.object import page, reference
 from malus.object.definition import Object
@@ -48,7 +46,6 @@ def write_comparison(
     files = page.write_distances(folder / "reference", comparison.distances, mesh, views, gsd)
     if thing.register:
         path, scan = folder / "reference" / "registered.ply", comparison.reference
-        triangles = None if scan.triangles is None else scan.triangles.astype(np.int64)
-        write_ply(path, columns("xyz", scan.points, "f8"), triangles, "reference moved onto the surface")
+        write_ply(path, columns("xyz", scan.points, "f8"), scan.triangles, "reference moved onto the surface")
         files.append(path)
     return files

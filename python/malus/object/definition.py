@@ -167,7 +167,7 @@ class Object:
         for a reference that cannot be read.
         """
         require_packages()
-        if self.closed:
+        if self.closed or self.shared is not None:
             Colmap(1, self.campaign.options.photos.backend)
         self.read_reference()
 

@@ -32,15 +32,25 @@ def warnings_of(
     for outcome in outcomes:
         name = outcome["station"]
         if outcome["status"] != "done":
-            warnings.append(f"{name}: is not in the surface: {outcome['reason']}")
+            warnings += left_out([outcome])
             continue
         own = Workspace(output / "stations" / name).quality["warnings"]
         warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
     if thing.closed and not closed:
         warnings.append("object: the mesh was to be closed, but it has open edges")
     if compared is not None and compared["status"] != "done":
-        warnings.append(f"object: is not compared with {compared['file']}: {compared['status']}")
+        # The page shows the warnings, and must not reveal the scan's path on this computer.
+        warnings.append(f"object: is not compared with {Path(compared['file']).name}: {compared['status']}")
     return warnings
+
+
+def left_out(outcomes: Sequence[Outcome]) -> list[str]:
+    """A warning about each station that is not in the surface."""
+    return [
+        f"{outcome['station']}: is not in the surface: {outcome['reason']}"
+        for outcome in outcomes
+        if outcome["status"] != "done"
+    ]
 
 
 def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 
 from malus.errors import DataError
 from malus.object.arrays import GrowingArray, chunks
-from malus.object.meshing import ObjectMesh, connected, part_numbers
+from malus.object.meshing import LEAST_PART, ObjectMesh, connected, part_numbers
 from malus.object.views import Bools, Floats
 
 Ints = NDArray[np.int64]
-
-#: Connected parts with a smaller share of the triangles are dropped.
-_LEAST_PART = 0.005
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ def joined_mesh(pieces: Iterable[Piece], folder: Path, most_sigma: float) -> Obj
         parts += len(sizes[-1])
     whole = connected(np.concatenate(links), parts)
     size = np.bincount(whole, np.concatenate(sizes), max(parts, 1))
-    good = (size >= _LEAST_PART * size.sum())[whole] & (size[whole] > 0)
+    good = (size >= LEAST_PART * size.sum())[whole] & (size[whole] > 0)
     return _selected(raw.mesh(), good, parts_of.array(), folder)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,8 +17,6 @@ from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.views import Bools, Floats, scipy, unit
 from malus.photogrammetry.program import Colmap
 
-#: The finest cells of the octree have this size, in GSD.
-_CELL_GSD = 1.0
 #: Depth of the octree; memory grows fourfold with each level.
 _LEAST_DEPTH, _MOST_DEPTH = 6, 13
 #: Weight of the points' positions relative to their normals (Kazhdan and Hoppe 2013).
@@ -25,10 +24,8 @@ _POINT_WEIGHT = 4.0
 #: A vertex counts as measured if a point lies within this many times the local spacing of the points.
 _REACH = 2.0
 _SPACING_NEIGHBOR = 2
-#: The files that COLMAP reads and writes.
-_FILES = ("points.ply", "poisson.ply")
 #: Connected parts with a smaller share of the triangles are dropped.
-_LEAST_PIECE = 0.005
+LEAST_PART = 0.005
 #: Most triangles of a mesh that is simplified as a whole.
 MOST_TO_SIMPLIFY = 4_000_000
 
@@ -76,7 +73,7 @@ class ObjectMesh:
 
 
 def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap, halved: int = 0) -> ObjectMesh:
-    """Closed mesh of oriented points; `folder` keeps the cloud, COLMAP's mesh and its log.
+    """Closed mesh of oriented points; `folder` keeps COLMAP's log.
 
     Cells are as fine as the GSD halved so often, except for objects larger than 8000 cells; where points are sparser, they are larger.
     Raises DataError if there is no surface.
@@ -87,20 +84,24 @@ def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colma
     local = (points.points - middle).astype(np.float32)
     cells = _cells_across(local, gsd) * 2**halved
     depth = int(np.clip(math.ceil(math.log2(cells)), _LEAST_DEPTH, _MOST_DEPTH))
-    cloud, raw = (folder / name for name in _FILES)
     properties = columns("xyz", local, "f4") | columns(("nx", "ny", "nz"), points.normals, "f4")
     gray = (np.zeros(len(local), np.uint8), "u1")  # COLMAP 3.8 wants colors.
-    write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
-    colmap.run(
-        "poisson_mesher",
-        {
-            "input_path": cloud.resolve(), "output_path": raw.resolve(), "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
-            "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
-        },
-        folder / "poisson.log",
-        working_folder=folder,  # COLMAP keeps large files of its own there.
-    )  # fmt: skip
-    vertices, triangles = read_mesh(raw)
+    folder.mkdir(parents=True, exist_ok=True)
+    # COLMAP keeps large files of its own in its folder. What a killed run leaves there is removed with the folder (run.py).
+    with tempfile.TemporaryDirectory(prefix=".mesh-", dir=folder) as temporary:
+        scratch = Path(temporary).resolve()
+        cloud, raw = scratch / "points.ply", scratch / "poisson.ply"
+        write_ply(cloud, {**properties, "red": gray, "green": gray, "blue": gray}, None, "points of the object")
+        colmap.run(
+            "poisson_mesher",
+            {
+                "input_path": cloud, "output_path": raw, "PoissonMeshing.depth": depth, "PoissonMeshing.trim": 0,
+                "PoissonMeshing.point_weight": _POINT_WEIGHT, "PoissonMeshing.num_threads": colmap.threads,
+            },
+            folder / "poisson.log",
+            working_folder=scratch,
+        )  # fmt: skip
+        vertices, triangles = read_mesh(raw)
     # COLMAP leaves a few vertices that are NaN; the holes without them are closed below.
     numbers = np.asarray(np.isfinite(vertices).all(axis=1))
     triangles = triangles[numbers[triangles].all(1)]
@@ -117,11 +118,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
     """
     points = OrientedPoints(mesh.vertices, mesh.normals, mesh.sigma, np.ones(len(mesh.vertices), np.int64))
     halved = 0 if mesh.level is None else int(mesh.level.max())
-    try:
-        closed = poisson_mesh(points, gsd, folder, colmap, halved)
-    finally:
-        for name in _FILES:
-            (folder / name).unlink(missing_ok=True)
+    closed = poisson_mesh(points, gsd, folder, colmap, halved)
     # The octree of a large object ends at larger cells.
     finest = min(halved, max(0, round(_MOST_DEPTH - math.log2(_cells_across(mesh.vertices, gsd)))))
     if mesh.level is None or finest == 0:
@@ -133,7 +130,7 @@ def closed_surface(mesh: ObjectMesh, gsd: float, folder: Path, colmap: Colmap) -
 
 def _cells_across(points: NDArray[np.floating], gsd: float) -> float:
     """Side of the octree about the points, in cells of one GSD."""
-    return 1.1 * float(np.ptp(points, axis=0).max()) / (_CELL_GSD * gsd)
+    return 1.1 * float(np.ptp(points, axis=0).max()) / gsd
 
 
 def _with_uncertainty(vertices: Floats, triangles: NDArray[np.int64], points: OrientedPoints, gsd: float) -> ObjectMesh:
@@ -178,7 +175,7 @@ def without_crumbs(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floa
     """The mesh without small separate parts and without unused vertices."""
     piece = part_numbers(triangles, len(vertices))[triangles[:, 0]]
     size = np.bincount(piece)
-    kept = triangles[size[piece] >= _LEAST_PIECE * len(triangles)]
+    kept = triangles[size[piece] >= LEAST_PART * len(triangles)]
     used, renumbered = np.unique(kept, return_inverse=True)
     return vertices[used], renumbered.reshape(-1, 3)
 
@@ -208,10 +205,40 @@ def closed_up(vertices: Floats, triangles: NDArray[np.int64]) -> tuple[Floats, N
     border = edges[~np.isin(there, back)]
     if not len(border):
         return vertices, triangles
-    used, ends = np.unique(border, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    loop = connected(ends, len(used))
-    sums = np.stack([np.bincount(loop, vertices[used, axis]) for axis in range(3)], 1)
+    loop = _loops(border)
+    sums = np.stack([np.bincount(loop, vertices[border[:, 0], axis]) for axis in range(3)], 1)
     middles = sums / np.bincount(loop)[:, None]
-    fans = np.stack([border[:, 1], border[:, 0], count + loop[ends[:, 0]]], 1)
+    fans = np.stack([border[:, 1], border[:, 0], count + loop], 1)
     return np.concatenate([vertices, middles]), np.concatenate([triangles, fans])
+
+
+def _loops(border: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The number of the loop that each edge (N×2, first and last vertex) of open borders belongs to. No loop passes a vertex twice: holes
+    that touch at a vertex have a loop each.
+    """
+    starts, ends = border.T.tolist()
+    onward: dict[int, list[int]] = {}
+    for edge, start in enumerate(starts):
+        onward.setdefault(start, []).append(edge)
+    loop = np.empty(len(border), np.int64)
+    count = 0
+    for start in list(onward):
+        path: list[int] = []
+        at = {start: 0}  # of the vertices of the path: the edge with which it leaves them
+        vertex = start
+        while onward.get(vertex):
+            path.append(onward[vertex].pop())
+            vertex = ends[path[-1]]
+            if vertex not in at:
+                at[vertex] = len(path)
+                continue
+            around = path[at[vertex] :]
+            for edge in around[1:]:
+                del at[starts[edge]]
+            del path[at[vertex] :]
+            loop[around] = count
+            count += 1
+        if path:  # Where three triangles meet at an edge, a border need not be closed.
+            loop[path] = count
+            count += 1
+    return loop

@@ -35,7 +35,8 @@ _TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
 _MOST_RATIO = 4.0
 #: Gray value of pixels without data, and the margin that is left around the pixels with data, as a share of their extent.
 _NOTHING, _ROOM = 128, 0.05
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+#: A number in a sentence; those in the name of a file, as in IMG_0012.JPG, are none.
+_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\.?\w)")
 #: Distances from the reference of this many GSD or more have the first or last color.
 _MOST_DISTANCE_GSD = 2.0
 #: A pixel's place is in the mesh if a vertex lies within this many GSD of the object, or of the station if its pixels are larger.
@@ -181,21 +182,22 @@ def reasons_of(stations: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[st
     """Why stations are not fully trusted: each sentence once, with the stations that it applies to. Numbers that differ between the
     stations become a range.
     """
-    said: dict[str, list[tuple[str, list[str]]]] = {}
+    said: dict[tuple[str, ...], list[tuple[str, list[str]]]] = {}
     for row in stations:
         # No blank follows a decimal point.
         for sentence in filter(None, re.split(r"(?<=\.) (?=[A-Z])", row["reasons"])):
-            said.setdefault(_NUMBER.sub("#", sentence), []).append((row["station"], _NUMBER.findall(sentence)))
+            words = tuple(_NUMBER.split(sentence))
+            said.setdefault(words, []).append((row["station"], _NUMBER.findall(sentence)))
     return [
-        (_filled(pattern, [numbers for _, numbers in told]), [station for station, _ in told])
-        for pattern, told in said.items()
+        (_filled(words, [numbers for _, numbers in told]), [station for station, _ in told])
+        for words, told in said.items()
     ]
 
 
-def _filled(pattern: str, numbers: Sequence[Sequence[str]]) -> str:
-    """A sentence whose # are replaced by the ranges of the stations' numbers."""
-    spans = iter([sorted(column, key=float) for column in zip(*numbers, strict=True)])
-    return re.sub("#", lambda _: _span(next(spans)), pattern)
+def _filled(words: Sequence[str], numbers: Sequence[Sequence[str]]) -> str:
+    """A sentence of these words, with the ranges of the stations' numbers between them."""
+    spans = [_span(sorted(column, key=float)) for column in zip(*numbers, strict=True)]
+    return words[0] + "".join(span + after for span, after in zip(spans, words[1:], strict=True))
 
 
 def _span(ordered: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from malus import _core, batch
 from malus._files import read_record, sha256_of, write_record
 from malus.batch import Outcome
-from malus.errors import DataError, InputError
+from malus.errors import DataError, InputError, MalusError
 from malus.object import agreement, meshing, page, texture
 from malus.object.agreement import OrientedPoints
 from malus.object.albedo import Albedos
@@ -25,7 +25,7 @@ from malus.object.clouds import clouds_of
 from malus.object.color import Paint
 from malus.object.comparison import compared_with_reference, write_comparison
 from malus.object.definition import Object
-from malus.object.doubts import doubts_of_stations, warnings_of
+from malus.object.doubts import doubts_of_stations, left_out, warnings_of
 from malus.object.figures import mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame, with_warnings
 from malus.object.glb import write_levels
@@ -62,7 +62,7 @@ def run_object(
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
     outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct; an error in making the surface
-    leaves none, nor an earlier one.
+    leaves none, nor an earlier one, and has as notes what was warned of before it.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
@@ -76,9 +76,9 @@ def run_object(
     if any(outcome["status"] == "pending" for outcome in outcomes):
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+    found = [] if frame is None else frame.warnings
     if not done:
-        error = batch.failure(outcomes) or DataError(f"{thing.name}: has no stations")
-        raise with_warnings(error, [] if frame is None else frame.warnings)
+        raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
     folder = Path(output) / "object"
     key = _key(thing, outcomes, frame)
@@ -96,9 +96,11 @@ def run_object(
                     threads or ALL_CORES,
                     lambda share, message: say("object", share, message),
                 )
-            except BaseException:
+            except BaseException as error:
                 # A mesh without its page, or with that of another surface, would look finished.
                 _clear(folder)
+                if isinstance(error, MalusError):
+                    with_warnings(error, [*found, *left_out(outcomes)])
                 raise
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes

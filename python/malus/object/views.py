@@ -105,7 +105,7 @@ class View:
 
 def sees(view: View, points: Floats, normals: Floats) -> Bools:
     """Which places of a surface (N×3, with normals) the view has measured: its own surface is at most four standard deviations away."""
-    return view.core.sees(points, normals)
+    return view.sights(points, normals)[2] > 0
 
 
 def may_see(views: Sequence[View], points: Floats) -> list[int]:
