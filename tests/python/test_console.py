@@ -239,6 +239,18 @@ def test_commands_on_a_workspace_follow_json_and_quiet(finished_grid: Path, tmp_
     assert wrong.code == 2 and "unknown option grid.nothing" in wrong.err
 
 
+def test_check_prints_only_warnings_with_quiet(small_station_source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It printed the whole plan in spite of --quiet."""
+    plan: dict[str, object] = {"name": "small", "does": [], "warnings": ["dark", "small"]}
+    monkeypatch.setattr(malus, "check", lambda *_, **__: plan)
+    command = ("check", small_station_source / "station.toml", "--quiet")
+    outcome = malus_here(*command)
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "warning: dark\nwarning: small\n")
+    plan["warnings"] = []
+    outcome = malus_here(*command)
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+
+
 def test_report_takes_the_station_like_other_steps(
     finished_grid: Path, small_station_source: Path, small_station: Path, tmp_path: Path
 ) -> None:

@@ -99,7 +99,9 @@ def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path
         for work in works:
             workspace = Workspace(work)
             if not workspace.has(f"paper/{name}.csv"):
-                raise InputError(f"{work}: has no tables, expected a workspace that `malus paper STATION.toml` has finished")
+                raise InputError(
+                    f"{work}: has no tables, expected a workspace that `malus paper STATION.toml` has finished"
+                )
             path = workspace.path(f"paper/{name}.csv")
             first, *others = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
             if header and first != header:
