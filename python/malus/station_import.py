@@ -233,7 +233,7 @@ def _number(value: object, where: str) -> float:
 
 
 def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Column names, and (line, values by column) of every row of a CSV file; InputError for a row with another number of columns.
+    """Column names, and (last line, values by column) of every row of a CSV file; InputError for a row with another number of columns.
 
     Spreadsheet programs do not always write UTF-8. Their column separator depends on the country, and numbers may have decimal
     commas if the separator is another sign.
@@ -256,15 +256,16 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
         first += 1
     header = lines[first] if first < len(lines) else ""
     delimiter = stated[1] if stated else max(";\t,", key=header.count)
+    reader = csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True, strict=True)
     try:
-        rows = list(csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True, strict=True))
+        rows = [(first + reader.line_num, row) for row in reader]
     except csv.Error as error:
         raise InputError(f"{table}: cannot be read as a table ({error})") from None
     if not rows:
         raise InputError(f"{table}: empty, expected column names in the first line")
-    names = [name.strip() for name in rows[0]]
+    names = [name.strip() for name in rows[0][1]]
     result = []
-    for line, row in enumerate(rows[1:], start=first + 2):
+    for line, row in rows[1:]:
         cells = [cell.strip() for cell in row]
         if not any(cells):
             continue

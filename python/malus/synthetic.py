@@ -276,6 +276,15 @@ def _save(path: Path, image: NDArray[Any]) -> None:
         Image.fromarray(image).save(temporary)
 
 
+def _names_of_images(angles_deg: Sequence[float]) -> list[str]:
+    """A file name for each image, by its angle; repeated exposures of one angle are numbered."""
+    names: list[str] = []
+    for angle in angles_deg:
+        name = f"pol/pol_{angle:03g}"
+        names.append(f"{name}.tif" if f"{name}.tif" not in names else f"{name}_{len(names)}.tif")
+    return names
+
+
 def write_station(
     folder: str | Path,
     width: int,
@@ -297,10 +306,9 @@ def write_station(
         raise ValueError(f"{width} x {height} pixels, expected at least 120 each way")
     folder, how = Path(folder), sensor or Sensor()
     scene = relief(width, height, seed=seed)
-    names = []
-    for angle, image in zip(how.angles_deg, render(scene, reflectance, how, seed=seed), strict=True):
-        names.append(f"pol/pol_{angle:03g}.tif")
-        _save(folder / names[-1], image)
+    names = _names_of_images(how.angles_deg)
+    for name, image in zip(names, render(scene, reflectance, how, seed=seed), strict=True):
+        _save(folder / name, image)
     if prior == "cloud":
         prior_line = 'cloud = "cloud.ply"'
         points, normals = stereo_cloud(scene, seed=seed)

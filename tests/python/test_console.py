@@ -100,11 +100,17 @@ def test_a_warning_is_told_once(capsys: pytest.CaptureFixture[str], kind: type[P
     assert [event["message"] for event in events] == ["doubtful", "strange"] == last["warnings"]
 
 
+def buffered() -> dict[str, str]:
+    """The environment without the variable by which Python writes everything at once."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+
+
 def unread(*command: str | Path, errors_too: bool = False) -> tuple[int, str | None]:
     """Exit code and errors of a program whose output, with `errors_too` also that of errors, is a pipe that nobody reads."""
     kept, closed = os.pipe()
     os.close(kept)
-    run = subprocess.Popen(command, stdout=closed, stderr=closed if errors_too else subprocess.PIPE, text=True)
+    errors = closed if errors_too else subprocess.PIPE
+    run = subprocess.Popen(command, stdout=closed, stderr=errors, text=True, env=buffered())
     os.close(closed)
     _, err = run.communicate(timeout=300)
     return run.returncode, err
@@ -120,6 +126,18 @@ def test_a_run_whose_output_nobody_reads_any_more_is_not_done(small_station_sour
     if program.exists():
         station = small_station_source / "station.toml"
         assert unread(program, station, "-o", tmp_path / "c", "--json") == (130, "malus-station: interrupted\n")
+
+
+def test_output_that_cannot_be_written_has_an_exit_code_of_malus() -> None:
+    """Lines that fit into Python's buffer were written after the exit code was decided: Python complained, and ended with code 120."""
+    command = [sys.executable, "-m", "malus.cli", "options", "--main"]
+    assert unread(*command) == (0, "")
+    with open("/dev/full", "w") as full:
+        for arguments in (command, [*command[:-2], "--version"]):
+            run = subprocess.run(arguments, stdout=full, stderr=subprocess.PIPE, text=True, env=buffered())
+            assert (run.returncode, run.stderr) == (5, "malus: standard output: No space left on device\n")
+    closed = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], stderr=subprocess.PIPE, env=buffered())
+    assert (closed.returncode, closed.stderr) == (0, b"")
 
 
 def test_another_pipe_that_breaks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,6 +237,18 @@ def test_commands_on_a_workspace_follow_json_and_quiet(finished_grid: Path, tmp_
     assert event["message"] == str(written)
     wrong = malus_here(*command, "--set", "grid.nothing=8")
     assert wrong.code == 2 and "unknown option grid.nothing" in wrong.err
+
+
+def test_check_prints_only_warnings_with_quiet(small_station_source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It printed the whole plan in spite of --quiet."""
+    plan: dict[str, object] = {"name": "small", "does": [], "warnings": ["dark", "small"]}
+    monkeypatch.setattr(malus, "check", lambda *_, **__: plan)
+    command = ("check", small_station_source / "station.toml", "--quiet")
+    outcome = malus_here(*command)
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "warning: dark\nwarning: small\n")
+    plan["warnings"] = []
+    outcome = malus_here(*command)
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
 
 
 def test_report_takes_the_station_like_other_steps(

@@ -852,8 +852,11 @@ def test_maps_on_the_page_are_cut_to_what_they_show_and_have_a_scale(tmp_path: P
 
 def test_shards_leave_the_surface_to_the_last(pair: Path) -> None:
     output = pair.parent / "out"
-    first = malus_here("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
+    words = ("object", pair, "-o", output, "--shard", "1/2", "--threads", "2")
+    first = malus_here(*words)
     assert first.code == 0 and "1 of 2 stations are not run yet" in first.out
+    quiet = malus_here(*words, "--quiet")
+    assert quiet.code == 0 and not quiet.out
     assert not (output / "object").exists()
 
 

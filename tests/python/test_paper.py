@@ -291,7 +291,7 @@ def test_shares_of_classes_stand_below_their_map(paper_work: Path) -> None:
     assert share == pytest.approx(100 * plates.quality["zenith_clamped_fraction"], abs=0.1)
 
 
-def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
+def test_campaign_merges_tables(paper_work: Path, finished_grid: Path, tmp_path: Path) -> None:
     outcome = malus_here("paper", "--campaign", paper_work, paper_work, "-o", tmp_path / "all")
     assert outcome.code == 0, outcome.err
     with (tmp_path / "all/table_2.csv").open() as file:
@@ -301,6 +301,8 @@ def test_campaign_merges_tables(paper_work: Path, tmp_path: Path) -> None:
     assert neither.code == 2 and "either STATION.toml or --campaign" in neither.err
     missing = malus_here("paper", "--campaign", tmp_path / "all", "-o", tmp_path / "none")
     assert missing.code == 2
+    without = malus_here("paper", "--campaign", finished_grid, "-o", tmp_path / "none")
+    assert without.code == 2 and "that `malus paper STATION.toml` has finished" in without.err
 
 
 def test_plates_are_reproduced_byte_by_byte(paper_work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,6 +75,14 @@ def test_the_angles_of_a_station_may_be_of_any_type(tmp_path: Path) -> None:
     assert tomllib.loads(station.read_text())["polarized"]["angles_deg"] == [0, 45, 90, 135]
 
 
+def test_repeated_exposures_have_files_of_their_own(tmp_path: Path) -> None:
+    """The second image of an angle replaced the first one: both were the same, with the same noise."""
+    path = synthetic.write_station(tmp_path, 120, 120, sensor=synthetic.Sensor(angles_deg=(0, 60, 120, 0)))
+    images = malus.Station.load(path).describe()["images"]
+    assert len(set(images)) == 4
+    assert Path(images[0]).read_bytes() != Path(images[3]).read_bytes()
+
+
 def test_image_size_does_not_change_the_steepness() -> None:
     steepness = []
     for width, height in ((240, 160), (720, 480)):

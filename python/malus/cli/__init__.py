@@ -115,16 +115,45 @@ def _end_at_signals() -> None:
         signal.signal(signal.SIGHUP, signal.default_int_handler)
 
 
+def _flush_output() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def _drop_unwritten_output() -> None:
+    """Drop what an output does not take: at its end Python would try again, complain, and change the exit code to 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with contextlib.suppress(OSError):  # in tests it is no file
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, stream.fileno())
+                os.close(null)
+        except ValueError:  # standard error is closed above
+            pass
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code (0, 2, 3, 4, 5 or 130; see malus.errors)."""
     if arguments is None:
         _start_with_utf8()
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started the program, as by >&-
+            setattr(sys, name, open(os.devnull, "w"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a character that a terminal cannot show must not end a run
             stream.reconfigure(errors="backslashreplace")
     _end_at_signals()
     try:
-        _run(arguments)
+        try:
+            _run(arguments)
+        except SystemExit:  # of --help and --version
+            _flush_output()
+            raise
+        _flush_output()
     except KeyboardInterrupt:
         with contextlib.suppress(BrokenPipeError):
             print("malus: interrupted; finished steps are kept and will not be repeated", file=sys.stderr)
@@ -139,4 +168,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code, message = ending_of(error)
         print_lines(f"malus: {message}", *(f"  {note}" for note in getattr(error, "__notes__", ())), to=sys.stderr)
         return code
+    finally:
+        _drop_unwritten_output()
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,9 @@ def check_inputs(args: argparse.Namespace) -> None:
                 )
             )
             return
+        if args.quiet:
+            _print_warnings(*plans)
+            return
         print(f"object {thing.name}: {len(plans)} stations, {seconds:.0f} s one after another")
         print_lines(f"  {surface}")
         print(f"expected: about {surface_seconds:.0f} s")
@@ -50,14 +54,27 @@ def check_inputs(args: argparse.Namespace) -> None:
     plan["overlay"] = overlay and str(overlay)
     if args.json:
         print(json.dumps(plan))
+    elif args.quiet:
+        _print_warnings(plan)
     else:
         _print_plan(plan)
 
 
-def _print_plan(plan: dict[str, Any]) -> None:
+def _name_of(plan: dict[str, Any]) -> str:
     # Of an object: the name in folders and tables, as the stations' own names may be alike.
-    name = f"{plan['station']} ({plan['name']})" if "station" in plan else plan["name"]
-    print(f"station {name}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
+    return f"{plan['station']} ({plan['name']})" if "station" in plan else str(plan["name"])
+
+
+def _print_warnings(*plans: dict[str, Any]) -> None:
+    """Print the warnings alone, on standard error as a run does; of an object's stations each with the station's name."""
+    for plan in plans:
+        of = f"{_name_of(plan)}: " if "station" in plan else ""
+        for warning in plan["warnings"]:
+            print_lines(f"warning: {of}{warning}", to=sys.stderr)
+
+
+def _print_plan(plan: dict[str, Any]) -> None:
+    print(f"station {_name_of(plan)}: {plan['width']} x {plan['height']} px, {plan['object_pixels']:.0f} on the object")
     print_lines(*(f"  {line}" for line in plan["does"]))
     print(f"expected: about {plan['seconds']:.0f} s and {plan['memory_mb']:.0f} MB of memory")
     print_lines(*([f"warning: {warning}" for warning in plan["warnings"]] or ["no warnings"]))

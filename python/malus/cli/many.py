@@ -81,8 +81,9 @@ def run_object_file(args: argparse.Namespace) -> None:
             for warning in _doubts_of_object(quality):
                 view.log("warning", warning)
     failed = batch.failure(outcomes)
-    if not args.json and pending:
-        print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
+    if pending:
+        if not (args.json or args.quiet):
+            print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
     elif not args.json:
         _print_object(folder, quality, args.quiet)
     if failed is not None:

@@ -97,7 +97,12 @@ def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path
         header: list[str] = []
         rows: list[list[str | float | None]] = []
         for work in works:
-            path = Workspace(work).path(f"paper/{name}.csv")
+            workspace = Workspace(work)
+            if not workspace.has(f"paper/{name}.csv"):
+                raise InputError(
+                    f"{work}: has no tables, expected a workspace that `malus paper STATION.toml` has finished"
+                )
+            path = workspace.path(f"paper/{name}.csv")
             first, *others = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
             if header and first != header:
                 raise InputError(f"{path}: columns {', '.join(first)}, expected {', '.join(header)} as in {works[0]}")
