@@ -106,11 +106,11 @@ void validate(const PolarizationState& state, const Image<float>* prior_normals,
 
 }  // namespace
 
-void require_labels(const Image<std::uint8_t>& labels, const Size& size) {
-  require_size(labels, size, "label image");
+void require_labels(const Image<std::uint8_t>& labels, const Size& size, const std::string& name) {
+  require_size(labels, size, name);
   for (const std::uint8_t value : labels) {
     if (value > 2) {
-      throw input_error("label image has the value " + std::to_string(value) +
+      throw input_error(name + " has the value " + std::to_string(value) +
                         ", expected 0 (decide), 1 (diffuse) or 2 (specular)");
     }
   }
