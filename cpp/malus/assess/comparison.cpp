@@ -10,6 +10,7 @@
 #include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 
 namespace malus {
 namespace {
