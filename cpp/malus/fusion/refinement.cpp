@@ -9,7 +9,6 @@
 #include "malus/fusion/reflection_labels_internal.h"
 #include "malus/fusion/reflection_sample_internal.h"
 #include "malus/fusion/shading_fit_internal.h"
-#include "malus/fusion/shading_internal.h"
 #include "malus/fusion/specular_fit_internal.h"
 
 namespace malus {

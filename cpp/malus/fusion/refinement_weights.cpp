@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"

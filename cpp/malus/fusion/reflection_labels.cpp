@@ -1,4 +1,3 @@
-#include <algorithm>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"

@@ -3,7 +3,6 @@
 #include <limits>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "malus/core/cell_values_internal.h"
 #include "malus/core/even_choice_internal.h"

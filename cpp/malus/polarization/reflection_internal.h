@@ -6,7 +6,6 @@
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/core/reflection_choice.h"
 #include "malus/options/polarization_options.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
