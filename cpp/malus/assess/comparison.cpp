@@ -186,14 +186,12 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
     }
   }
   result.distance = Image<float>(surface.depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, surface.depth.height(), [&](int v) {
-    for (int u = 0; u < surface.depth.width(); ++u) {
-      if (!std::isfinite(surface.depth(u, v))) continue;
-      const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
-      const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
-      if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
-        result.distance(u, v) = static_cast<float>(foot->signed_distance);
-    }
+  parallel_pixels(context, surface.depth.size(), [&](int u, int v) {
+    if (!std::isfinite(surface.depth(u, v))) return;
+    const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
+    const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
+    if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
+      result.distance(u, v) = static_cast<float>(foot->signed_distance);
   });
   if (reference.triangles.empty()) {
     std::vector<Eigen::Vector3d> points = spread_points(surface);
