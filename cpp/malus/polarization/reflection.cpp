@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <string>
 
@@ -132,7 +131,7 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
   ReflectionMap map;
   map.refractive_index = options.refractive_index;
   map.label = Image<std::uint8_t>(state.size());
-  map.zenith = Image<float>(state.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  map.zenith = Image<float>(state.size(), 1, no_value);
   const double brewster_slope = options.refractive_index;  // tan of Brewster's angle
   const auto label_rows = [&](std::size_t begin, std::size_t end) {
     std::size_t clamped = 0;
