@@ -11,7 +11,7 @@
 #include "cameras.h"
 #include "clouds.h"
 #include "interruptible.h"
-#include "malus/fusion/refined_share_internal.h"
+#include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/io/curve_pixels_internal.h"
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_file_internal.h"

@@ -10,6 +10,7 @@
 #include "malus/core/digits_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/robust_spread_internal.h"
 
 namespace malus {
 namespace {
@@ -184,15 +185,13 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
                                          " steps; the distances are those of the last");
     }
   }
-  result.distance = Image<float>(surface.depth.size(), 1, std::numeric_limits<float>::quiet_NaN());
-  parallel_rows(context, surface.depth.height(), [&](int v) {
-    for (int u = 0; u < surface.depth.width(); ++u) {
-      if (!std::isfinite(surface.depth(u, v))) continue;
-      const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
-      const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
-      if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
-        result.distance(u, v) = static_cast<float>(foot->signed_distance);
-    }
+  result.distance = Image<float>(surface.depth.size(), 1, no_value);
+  parallel_pixels(context, surface.depth.size(), [&](int u, int v) {
+    if (!std::isfinite(surface.depth(u, v))) return;
+    const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
+    const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
+    if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
+      result.distance(u, v) = static_cast<float>(foot->signed_distance);
   });
   if (reference.triangles.empty()) {
     std::vector<Eigen::Vector3d> points = spread_points(surface);
@@ -240,7 +239,7 @@ std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> poi
   validate_fields(options, "assess");
   const ReferenceSurface target(reference, Eigen::Vector3d::Zero(), options.reference_neighbors, context);
   const double max_distance = options.max_distance_gsd * gsd;
-  std::vector<float> distances(points.size(), std::numeric_limits<float>::quiet_NaN());
+  std::vector<float> distances(points.size(), no_value);
   parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto foot = target.foot(points[i], max_distance);

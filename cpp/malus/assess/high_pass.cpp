@@ -19,13 +19,11 @@ Image<float> high_pass(Image<float> values, double sigma_px, const Context& cont
   const auto mean = static_cast<float>(finite_mean(values, context));
   // Two channels: value minus mean (0 if missing), and whether the value is known.
   auto known = Image<float>::uninitialized(values.size(), 2);
-  parallel_rows(context, values.height(), [&](int v) {
-    for (int u = 0; u < values.width(); ++u) {
-      const bool is_known = std::isfinite(values(u, v));
-      values(u, v) -= mean;
-      known(u, v, 0) = is_known ? values(u, v) : 0;
-      known(u, v, 1) = is_known ? 1 : 0;
-    }
+  parallel_pixels(context, values.size(), [&](int u, int v) {
+    const bool is_known = std::isfinite(values(u, v));
+    values(u, v) -= mean;
+    known(u, v, 0) = is_known ? values(u, v) : 0;
+    known(u, v, 1) = is_known ? 1 : 0;
   });
   const OpenCvThreads one_thread(1);  // OpenCV is called from threads of our own
   constexpr std::size_t strip_rows = 256;

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "malus/assess/assessed_confidence_internal.h"
@@ -130,7 +129,7 @@ PolarizationFigures measure_polarization(const AssessInput& input, const Context
   const auto middle_and_p95 = [&](const Image<float>& map) {
     const auto value = [&](std::size_t i) {
       const bool counts_in = is_object(input, i) && has_state(state.valid[i], PixelState::valid);
-      return counts_in ? map[i] : std::numeric_limits<float>::quiet_NaN();
+      return counts_in ? map[i] : no_value;
     };
     return percentiles({map.count(), value, context}, 1, {0.5, 0.95});
   };

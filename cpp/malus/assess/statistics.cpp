@@ -69,11 +69,6 @@ std::vector<double> percentiles(RankedValues values, double divisor, std::initia
   return result;
 }
 
-double robust_sigma(std::vector<double> values) {
-  for (double& value : values) value = std::abs(value);
-  return deviation_per_median * percentile_in_place(values, 0.5);
-}
-
 double root_mean_square(std::span<const double> values) {
   const double squares = std::inner_product(values.begin(), values.end(), values.begin(), 0.0);
   return values.empty() ? no_value : std::sqrt(squares / static_cast<double>(values.size()));

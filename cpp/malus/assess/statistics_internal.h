@@ -37,9 +37,6 @@ Histogram distance_histogram(std::span<const double> values, std::optional<doubl
 /// values are divided by a positive divisor.
 std::vector<double> percentiles(RankedValues values, double divisor, std::initializer_list<double> fractions);
 
-/// 1.4826 × median of |x|: for normal values about zero their standard deviation, hardly changed by outliers.
-double robust_sigma(std::vector<double> values);
-
 /// Root mean square; NaN if there are no values.
 double root_mean_square(std::span<const double> values);
 

@@ -13,6 +13,7 @@
 #include "malus/core/degrees_internal.h"
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_sums_internal.h"
 
 namespace malus {
 namespace {
@@ -362,18 +363,13 @@ Image<float> mean_color(const CaptureInput& input, const ResponseCurve& curve, c
 }
 
 void check_usable(const PolarizedStack& stack, const Context& context) {
-  const auto count = [&](auto&& counts) {
-    return parallel_sum(context, stack.mask.count(), flags_at_once, std::size_t{0},
-                        [&](std::size_t begin, std::size_t end) {
-                          std::size_t sum = 0;
-                          for (std::size_t i = begin; i < end; ++i) sum += counts(i);
-                          return sum;
-                        });
-  };
-  const std::size_t object = count([&](std::size_t i) { return stack.mask[i] != 0; });
-  const std::size_t saturated = count([&](std::size_t i) { return (stack.mask[i] != 0) & (stack.saturated[i] != 0); });
+  const auto [object, saturated] = sum_pixels<2>(stack.mask.count(), context, [&](std::size_t i, Sums<2>& sums) {
+    if (stack.mask[i] == 0) return;
+    sums[0] += 1;
+    sums[1] += stack.saturated[i] != 0;
+  });
   if (object == 0) throw data_error("no pixel of the object lies inside all polarized images (mask and undistortion)");
-  if (static_cast<double>(saturated) > all_saturated * static_cast<double>(object)) {
+  if (saturated > all_saturated * object) {
     throw data_error(
         "more than 99 % of the object is saturated in the polarized images: expose less, or check white_level");
   }

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <sstream>
-#include <string>
 
 #include "malus/capture/registration_verdict_internal.h"
 #include "malus/core/digits_internal.h"

@@ -16,7 +16,13 @@ inline double robust_spread(std::vector<double>& absolute_values) {
   return deviation_per_median * median_in_place(absolute_values);
 }
 
-/// The same of values about this middle.
+/// The same with percentile_in_place: the mean of the two middle values if their number is even, NaN without values.
+inline double robust_sigma(std::vector<double> values) {
+  for (double& value : values) value = std::abs(value);
+  return deviation_per_median * percentile_in_place(values, 0.5);
+}
+
+/// Robust standard deviation of values about this middle.
 inline double robust_spread_about(double middle, std::vector<double> values) {
   for (double& value : values) value = std::abs(value - middle);
   return robust_spread(values);

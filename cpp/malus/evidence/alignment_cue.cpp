@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/alignment_cue_internal.h"
 #include "malus/evidence/smoothing_internal.h"
 #include "malus/polarization/phase_weight_internal.h"
@@ -53,19 +54,17 @@ double deviation(const std::vector<AlignmentCue::Value>& values) {
 Image<float> log_gradient(const Image<float>& image, Mask& mask, float floor) {
   Image<float> result(image.size());
   Mask inner(mask.size());
-  for (int v = 1; v + 1 < image.height(); ++v) {
-    for (int u = 1; u + 1 < image.width(); ++u) {
-      if (!(mask(u, v) && mask(u - 1, v) && mask(u + 1, v) && mask(u, v - 1) && mask(u, v + 1))) continue;
-      float squares = 0;
-      for (int c = 0; c < image.channels(); ++c) {
-        const float x = image(u + 1, v, c) - image(u - 1, v, c), y = image(u, v + 1, c) - image(u, v - 1, c);
-        squares += 0.25F * (x * x + y * y);
-      }
-      if (!std::isfinite(squares)) continue;
-      inner(u, v) = 255;
-      result(u, v) = std::log(std::sqrt(squares) + floor);
+  for_each_pixel(PixelRect{1, 1, image.width() - 1, image.height() - 1}, mask, [&](int u, int v) {
+    if (!(mask(u - 1, v) && mask(u + 1, v) && mask(u, v - 1) && mask(u, v + 1))) return;
+    float squares = 0;
+    for (int c = 0; c < image.channels(); ++c) {
+      const float x = image(u + 1, v, c) - image(u - 1, v, c), y = image(u, v + 1, c) - image(u, v - 1, c);
+      squares += 0.25F * (x * x + y * y);
     }
-  }
+    if (!std::isfinite(squares)) return;
+    inner(u, v) = 255;
+    result(u, v) = std::log(std::sqrt(squares) + floor);
+  });
   mask = std::move(inner);
   return result;
 }

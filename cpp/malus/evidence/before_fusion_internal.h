@@ -3,7 +3,6 @@
 #include <string>
 #include <vector>
 
-#include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/finding.h"
 #include "malus/core/geometry.h"
@@ -11,7 +10,6 @@
 #include "malus/core/pose.h"
 #include "malus/evidence/phase_agreement_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
-#include "malus/polarization/polarization_state.h"
 
 namespace malus {
 

@@ -1,11 +1,11 @@
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <limits>
 #include <utility>
 #include <vector>
 
 #include "malus/core/median_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/mask_coverage_internal.h"
 
 namespace malus {
@@ -35,17 +35,15 @@ double border_share(const Mask& object) {
 std::vector<double> steps_across(const Image<float>& depth, const Mask& object) {
   constexpr std::array directions{std::pair(1, 0), std::pair(-1, 0), std::pair(0, 1), std::pair(0, -1)};
   std::vector<double> steps;
-  for (int v = across_px; v + across_px < object.height(); ++v) {
-    for (int u = across_px; u + across_px < object.width(); ++u) {
-      if (object(u, v) == 0) continue;
-      for (const auto& [right, down] : directions) {
-        if (object(u + right, v + down) != 0) continue;
-        const float inside = depth(u - right * (across_px - 1), v - down * (across_px - 1));
-        const float outside = depth(u + right * across_px, v + down * across_px);
-        if (inside > 0 && outside > 0) steps.push_back((outside - inside) / inside);
-      }
+  const PixelRect within{across_px, across_px, object.width() - across_px, object.height() - across_px};
+  for_each_pixel(within, object, [&](int u, int v) {
+    for (const auto& [right, down] : directions) {
+      if (object(u + right, v + down) != 0) continue;
+      const float inside = depth(u - right * (across_px - 1), v - down * (across_px - 1));
+      const float outside = depth(u + right * across_px, v + down * across_px);
+      if (inside > 0 && outside > 0) steps.push_back((outside - inside) / inside);
     }
-  }
+  });
   return steps;
 }
 

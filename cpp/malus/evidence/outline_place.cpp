@@ -50,16 +50,14 @@ Outline outline_of(const Mask& object) {
   const PixelRect box = bounding_box(object);
   outline.extent = std::max(box.width(), box.height());
   constexpr std::array directions{std::pair(1, 0), std::pair(-1, 0), std::pair(0, 1), std::pair(0, -1)};
-  for (int v = 1; v + 1 < object.height(); ++v) {
-    for (int u = 1; u + 1 < object.width(); ++u) {
-      for (const auto& [across, down] : directions) {
-        if (object(u, v) == 0 || object(u + across, v + down) != 0) continue;
-        const double angle = std::atan2(v - outline.center_v, u - outline.center_u) / (2 * std::numbers::pi) + 0.5;
-        const auto sector = std::min(static_cast<std::size_t>(angle * sectors), sectors - 1);
-        outline.pixels.push_back({static_cast<double>(u), static_cast<double>(v), across, down, sector});
-      }
+  for_each_pixel(PixelRect{1, 1, object.width() - 1, object.height() - 1}, object, [&](int u, int v) {
+    for (const auto& [across, down] : directions) {
+      if (object(u + across, v + down) != 0) continue;
+      const double angle = std::atan2(v - outline.center_v, u - outline.center_u) / (2 * std::numbers::pi) + 0.5;
+      const auto sector = std::min(static_cast<std::size_t>(angle * sectors), sectors - 1);
+      outline.pixels.push_back({static_cast<double>(u), static_cast<double>(v), across, down, sector});
     }
-  }
+  });
   return outline;
 }
 
@@ -71,8 +69,7 @@ Sectors steps_at(const Outline& outline, const Image<float>& depth, double focal
     const double v = pixel.v + outwards * pixel.down - outline.center_v - moved.dv;
     const auto from_u = static_cast<int>(std::lround(outline.center_u + shrink * u));
     const auto from_v = static_cast<int>(std::lround(outline.center_v + shrink * v));
-    const bool is_inside = from_u >= 0 && from_v >= 0 && from_u < depth.width() && from_v < depth.height();
-    return is_inside ? static_cast<double>(depth(from_u, from_v)) : 0.0;
+    return depth.contains(from_u, from_v) ? static_cast<double>(depth(from_u, from_v)) : 0.0;
   };
   Sectors sums{};
   for (const OutlinePixel& pixel : outline.pixels) {

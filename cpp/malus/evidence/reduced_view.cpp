@@ -129,7 +129,7 @@ SceneView scene_view(const AlignmentScene& images, int factor, const Context& co
 
 Pinhole reduced_camera(const Pinhole& camera, int factor) {
   const auto centre = [factor](double c) { return (c + 0.5) / factor - 0.5; };
-  return {{camera.size.width / factor, camera.size.height / factor},
+  return {{std::max(camera.size.width / factor, 1), std::max(camera.size.height / factor, 1)},
           camera.fx / factor,
           camera.fy / factor,
           centre(camera.cx),

@@ -34,7 +34,8 @@ struct PriorView {
   double median_depth = 0;
 };
 
-/// The camera whose pixels each cover factor × factor pixels of this one; incomplete pixels at the border are cut off.
+/// The camera whose pixels each cover factor × factor pixels of this one; incomplete pixels at the border are cut off,
+/// but for those of an image that is narrower than one of them.
 Pinhole reduced_camera(const Pinhole& camera, int factor);
 
 /// View of a cloud through a reduced camera. Points hidden behind others are left out and, if the cloud has normals,

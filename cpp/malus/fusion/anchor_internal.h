@@ -1,6 +1,5 @@
 #pragma once
 
-#include "malus/core/context.h"
 #include "malus/fusion/refinement_internal.h"
 #include "malus/prior/depth_prior.h"
 

@@ -1,5 +1,4 @@
 #include <cmath>
-#include <limits>
 
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/coarse_level_internal.h"
@@ -76,7 +75,7 @@ RefinementImage coarsened(const RefinementImage& fine, const Context& context) {
   const Size size{fine.size().width / 2 + 1, fine.size().height / 2 + 1};
   coarse.pixels = coarse.usable = Mask(size);
   if (!fine.other_finish.empty()) coarse.other_finish = Mask(size);
-  coarse.x = Image<double>(size, 1, std::numeric_limits<double>::quiet_NaN());
+  coarse.x = Image<double>(size, 1, no_value);
   coarse.kind = Image<Reflection>(size);
   auto pixels = Image<PixelData>::uninitialized(size);
   parallel_pixels(context, size, [&](int column, int row) { add_coarse_pixel(fine, coarse, column, row); });

@@ -94,8 +94,8 @@ double trust_of_gain(double gain) {
 
 /// Returns the surface to the prior where it is farther from the prior than the prior's errors allow, for example where
 /// the search for other minima took a wrong one. A surface that is better than its prior differs from it by the prior's
-/// errors: by one standard deviation, if this contains all errors, as a stated one of a mesh or a depth map does (with a
-/// margin, because errors are larger in some places). That of a cloud does not contain the detail that its smoothing
+/// errors: by one standard deviation, if this contains all errors, as a stated one of a mesh or a depth map does (with
+/// a margin, because errors are larger in some places). That of a cloud does not contain the detail that its smoothing
 /// removed, and its errors can be twice as large as stated, above all at silhouettes.
 void stay_near_prior(const DepthPrior& prior, Refinement& refinement, const Image<double>& x_prior) {
   constexpr double allowed = 3, too_far = 5, allowed_of_all = 1.5, too_far_of_all = 2.5;

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -67,11 +66,11 @@ FusedSurface finish_surface(const DepthPrior& prior, Refinement& refinement) {
   surface.camera = prior.camera;
   surface.pose = prior.pose;
   surface.method = Fusion::refined;
-  surface.depth = surface.sigma = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
+  surface.depth = surface.sigma = Image<float>(size, 1, no_value);
   report.specular_share = specular_share(image);
   report.metal = looks_like_metal(image);
   report.label = report.confidence = Image<std::uint8_t>(size);
-  report.mirrored = Image<float>(size, 1, std::numeric_limits<float>::quiet_NaN());
+  report.mirrored = Image<float>(size, 1, no_value);
   ResidualSummary summary(image.usable);
   PriorErrors errors{prior.smoothing_px, prior.shares_windows};
   if (prior.noise > 0) errors.noise_gsd = prior.noise * image.camera.focal() / image.depth_of(0);

@@ -1,5 +1,4 @@
 #include <cmath>
-#include <limits>
 
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -29,7 +28,7 @@ double gain_of_other_finish(const RefinementImage& image, int u, int v) {
 Mask pixels_of_other_finish(const RefinementImage& image, const Context& context) {
   // The mean over neighbors keeps noise and wrong slopes of single pixels from looking like a finish.
   constexpr double neighbors_px = 4, clearly = 0.1;
-  Image<float> gain(image.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  Image<float> gain(image.size(), 1, no_value);
   parallel_pixels(context, image.usable,
                   [&](int u, int v) { gain(u, v) = static_cast<float>(gain_of_other_finish(image, u, v)); });
   const Image<float> mean = masked_blur(gain, image.pixels, neighbors_px, context);

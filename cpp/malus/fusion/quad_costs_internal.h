@@ -3,8 +3,6 @@
 #include <ceres/cost_function.h>
 #include <ceres/loss_function.h>
 
-#include <array>
-#include <memory>
 #include <vector>
 
 #include "malus/fusion/refinement_field_internal.h"

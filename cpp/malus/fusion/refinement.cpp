@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <limits>
 #include <vector>
 
 #include "malus/core/even_choice_internal.h"
@@ -9,7 +8,6 @@
 #include "malus/fusion/reflection_labels_internal.h"
 #include "malus/fusion/reflection_sample_internal.h"
 #include "malus/fusion/shading_fit_internal.h"
-#include "malus/fusion/shading_internal.h"
 #include "malus/fusion/specular_fit_internal.h"
 
 namespace malus {
@@ -56,11 +54,9 @@ double fit_diffuse_regions(const std::vector<ReflectionSample>& samples, Refinem
 /// Residuals are left out where the surface is the prior's: the model need not explain them.
 void leave_out_the_priors(const Image<std::uint8_t>& trust, const StripField& strip, Image<float>& squared) {
   constexpr std::uint8_t half = 128;
-  for (int v = strip.rows.begin; v < strip.rows.end; ++v) {
-    for (int u = 0; u < squared.width(); ++u) {
-      if (trust(u, strip.first_row + v) < half) squared(u, v) = std::numeric_limits<float>::quiet_NaN();
-    }
-  }
+  for_each_pixel(PixelRect{0, strip.rows.begin, squared.width(), strip.rows.end}, [&](int u, int v) {
+    if (trust(u, strip.first_row + v) < half) squared(u, v) = no_value;
+  });
 }
 
 }  // namespace

@@ -3,7 +3,6 @@
 #include <string>
 
 #include "malus/core/digits_internal.h"
-#include "malus/fusion/refined_share_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
 
 namespace malus {

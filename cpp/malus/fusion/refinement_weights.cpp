@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
@@ -136,19 +135,17 @@ ResidualSummary::ResidualSummary(const Mask& usable) : image_(usable.size()) {
 }
 
 void ResidualSummary::add(const PixelResiduals& part, RowRange rows, int first_row) {
-  for (int v = rows.begin; v < rows.end; ++v) {
-    for (int u = 0; u < image_.width; ++u) {
-      const float squared = part.squared(u, v);
-      if (!std::isfinite(squared)) continue;
-      cost_ += std::log1p(0.5 * squared);
-      ++count_;
-      if (!is_chosen(image_.index(u, first_row + v), share_)) continue;
-      squared_.push_back(squared);
-      if (u + 1 == image_.width) continue;
-      const float step = std::abs(part.log_albedo(u + 1, v) - part.log_albedo(u, v));
-      if (std::isfinite(step)) albedo_steps_.push_back(step);
-    }
-  }
+  for_each_pixel(PixelRect{0, rows.begin, image_.width, rows.end}, [&](int u, int v) {
+    const float squared = part.squared(u, v);
+    if (!std::isfinite(squared)) return;
+    cost_ += std::log1p(0.5 * squared);
+    ++count_;
+    if (!is_chosen(image_.index(u, first_row + v), share_)) return;
+    squared_.push_back(squared);
+    if (u + 1 == image_.width) return;
+    const float step = std::abs(part.log_albedo(u + 1, v) - part.log_albedo(u, v));
+    if (std::isfinite(step)) albedo_steps_.push_back(step);
+  });
 }
 
 FitQuality ResidualSummary::quality() {

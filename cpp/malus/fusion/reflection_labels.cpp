@@ -1,4 +1,3 @@
-#include <algorithm>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/masked_blur_internal.h"
@@ -48,16 +47,14 @@ void label_reflection(RefinementImage& image, const std::vector<RowRange>& strip
     const Evidence evidence = collect_evidence(field, context);
     const Image<float> weights = masked_blur(evidence.weight, field.object, pooling_px, context);
     const Image<float> speculars = masked_blur(evidence.specular, field.object, pooling_px, context);
-    for (int v = strip.rows.begin; v < strip.rows.end; ++v) {
-      for (int u = 0; u < field.size().width; ++u) {
-        if (evidence.weight(u, v) > 0) {
-          all += evidence.weight(u, v);
-          specular += evidence.specular(u, v);
-        }
-        if (field.object(u, v) && weights(u, v) > 0)
-          clear(u, strip.first_row + v) = clear_kind(speculars(u, v) / weights(u, v));
+    for_each_pixel(PixelRect{0, strip.rows.begin, field.size().width, strip.rows.end}, [&](int u, int v) {
+      if (evidence.weight(u, v) > 0) {
+        all += evidence.weight(u, v);
+        specular += evidence.specular(u, v);
       }
-    }
+      if (field.object(u, v) && weights(u, v) > 0)
+        clear(u, strip.first_row + v) = clear_kind(speculars(u, v) / weights(u, v));
+    });
   }
   const bool mostly_specular = specular > 0.5 * all;
   const Reflection usual = mostly_specular ? Reflection::specular : Reflection::diffuse;

@@ -2,9 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <cstdint>
 #include <memory>
-#include <string_view>
 
 #include "malus/core/degrees_internal.h"
 #include "malus/polarization/ray_frame.h"

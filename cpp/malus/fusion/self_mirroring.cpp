@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
@@ -13,7 +12,7 @@ namespace {
 
 /// Depth of the pixels' centers, NaN outside the object.
 Image<double> pixel_depths(const RefinementImage& image, const Context& context) {
-  Image<double> depths(image.size(), 1, std::numeric_limits<double>::quiet_NaN());
+  Image<double> depths(image.size(), 1, no_value);
   parallel_pixels(context, image.pixels, [&](int u, int v) {
     depths(u, v) = image.depth_of((image.x(u, v) + image.x(u + 1, v) + image.x(u, v + 1) + image.x(u + 1, v + 1)) / 4);
   });

@@ -4,11 +4,8 @@ namespace malus {
 
 Mask nodes_of(const Mask& pixels) {
   Mask nodes(pixels.size());
-  for (int v = 0; v + 1 < pixels.height(); ++v) {
-    for (int u = 0; u + 1 < pixels.width(); ++u) {
-      if (pixels(u, v)) nodes(u, v) = nodes(u + 1, v) = nodes(u, v + 1) = nodes(u + 1, v + 1) = 255;
-    }
-  }
+  for_each_pixel(PixelRect{0, 0, pixels.width() - 1, pixels.height() - 1}, pixels,
+                 [&](int u, int v) { nodes(u, v) = nodes(u + 1, v) = nodes(u, v + 1) = nodes(u + 1, v + 1) = 255; });
   return nodes;
 }
 

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <numbers>
 #include <utility>
 
@@ -32,7 +31,7 @@ using Curvature = std::array<Image<float>, 3>;  // ∂²/∂u², ∂²/∂v², �
 /// Curvature of the prior at nodes whose neighbors exist; NaN at other nodes.
 Curvature curvature_of_prior(const RefinementField& field, const Context& context) {
   Curvature curvature;
-  for (Image<float>& part : curvature) part = Image<float>(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  for (Image<float>& part : curvature) part = Image<float>(field.size(), 1, no_value);
   const Image<double>& x = field.x_prior;
   parallel_pixels(context, field.size(), [&](int u, int v) {
     static constexpr std::array<std::pair<int, int>, 6> needed{{{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}}};
@@ -63,7 +62,7 @@ Image<float> change_of_curvature(const RefinementField& field, double reach_px, 
 Image<float> prior_variance(const RefinementField& field, const PriorErrors& prior, const Context& context) {
   constexpr double of_smoothing = 0.65;
   const double of_noise = prior.shares_windows ? 1.0 : 0.3;
-  Image<float> variance(field.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  Image<float> variance(field.size(), 1, no_value);
   parallel_pixels(context, field.object,
                   [&](int u, int v) { variance(u, v) = static_cast<float>(square(field.prior_sigma(u, v))); });
   if (prior.smoothing_px <= 0) return variance;

@@ -38,12 +38,10 @@ void catmull_rom(double t, double (&value)[4], double (&slope)[4]) {
 
 std::vector<Surroundings::Cell> Surroundings::all_cells() {
   std::vector<Cell> all;
-  for (int row = 0; row < cells; ++row) {
-    for (int column = 0; column < cells; ++column) {
-      const double hx = (column + 0.5) * cell_side - 1, hy = (row + 0.5) * cell_side - 1;
-      if (std::hypot(hx, hy) < disc_radius) all.push_back({hx, hy, column, row});
-    }
-  }
+  for_each_pixel(Size{cells, cells}, [&](int column, int row) {
+    const double hx = (column + 0.5) * cell_side - 1, hy = (row + 0.5) * cell_side - 1;
+    if (std::hypot(hx, hy) < disc_radius) all.push_back({hx, hy, column, row});
+  });
   return all;
 }
 

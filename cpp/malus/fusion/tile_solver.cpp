@@ -247,14 +247,14 @@ class TileProblem {
           add(std::make_unique<AlbedoCost>(field_, u, v), &albedo_loss_);
       });
     });
-    for (int row = local_.v0 / prior_block_px; row * prior_block_px < local_.v1; ++row) {
-      for (int column = local_.u0 / prior_block_px; column * prior_block_px < local_.u1; ++column) {
-        const double weight = field_.block_weight(column, row);
-        if (weight <= 0) continue;
-        add(std::make_unique<PriorBlockCost>(field_, column, row),
-            keep(std::make_unique<ceres::ScaledLoss>(&prior_loss_, weight, ceres::DO_NOT_TAKE_OWNERSHIP)));
-      }
-    }
+    const PixelRect blocks{local_.u0 / prior_block_px, local_.v0 / prior_block_px,
+                           whole_blocks(local_.u1) / prior_block_px, whole_blocks(local_.v1) / prior_block_px};
+    for_each_pixel(blocks, [&](int column, int row) {
+      const double weight = field_.block_weight(column, row);
+      if (weight <= 0) return;
+      add(std::make_unique<PriorBlockCost>(field_, column, row),
+          keep(std::make_unique<ceres::ScaledLoss>(&prior_loss_, weight, ceres::DO_NOT_TAKE_OWNERSHIP)));
+    });
   }
 
   const RefinementField& field_;

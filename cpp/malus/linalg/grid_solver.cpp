@@ -34,7 +34,7 @@ SolveStatus GridSolver::solve_direct(const SymmetricSolver::Matrix& matrix, cons
     direct_.emplace(context_);
     direct_->analyze(matrix, nested_dissection(*pixels_, GridSystem::reach));
   }
-  summary_.bytes = direct_->estimate().factor_bytes;
+  summary_.bytes = direct_->factor_bytes();
   const SolveStatus factorized = direct_->factorize(matrix);
   if (factorized != SolveStatus::solved) return factorized;
   const SolveStatus status = direct_->solve(matrix, right, x);

@@ -54,7 +54,7 @@ struct SymmetricSolver::Impl {
   Error out_of_memory(const char* what) const {
     std::ostringstream message;
     message << "linear system of " << unknowns << " unknowns: out of memory while " << what << " (the factor takes "
-            << estimate.factor_bytes / 1e9 << " GB)";
+            << factor_bytes / 1e9 << " GB)";
     return resource_error(message.str());
   }
 
@@ -74,7 +74,7 @@ struct SymmetricSolver::Impl {
   cholmod_factor* factor = nullptr;
   Eigen::Index unknowns = 0;
   Eigen::Index entries = 0;
-  FactorEstimate estimate;
+  double factor_bytes = 0;
   double relative_residual = 0;
 };
 
@@ -83,7 +83,7 @@ SymmetricSolver::~SymmetricSolver() = default;
 SymmetricSolver::SymmetricSolver(SymmetricSolver&&) noexcept = default;
 SymmetricSolver& SymmetricSolver::operator=(SymmetricSolver&&) noexcept = default;
 
-FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int> order) {
+void SymmetricSolver::analyze(const Matrix& lower, std::span<const int> order) {
   require_square_compressed(lower);
   if (!order.empty() && order.size() != static_cast<std::size_t>(lower.rows())) {
     throw input_error("linear system: the elimination order has another size than the matrix");
@@ -96,9 +96,8 @@ FactorEstimate SymmetricSolver::analyze(const Matrix& lower, std::span<const int
   impl_->common.method[0].ordering = order.empty() ? CHOLMOD_METIS : CHOLMOD_GIVEN;
   impl_->factor = cholmod_analyze_p(&matrix, const_cast<int*>(order.data()), nullptr, 0, &impl_->common);
   impl_->check("ordering");
-  impl_->estimate = {8 * impl_->common.lnz, impl_->common.fl};
+  impl_->factor_bytes = 8 * impl_->common.lnz;
   impl_->context.check_cancel();
-  return impl_->estimate;
 }
 
 SolveStatus SymmetricSolver::factorize(const Matrix& lower) {
@@ -160,8 +159,8 @@ double SymmetricSolver::log_determinant() const {
   return 2 * sum;
 }
 
-FactorEstimate SymmetricSolver::estimate() const {
-  return impl_->estimate;
+double SymmetricSolver::factor_bytes() const {
+  return impl_->factor_bytes;
 }
 
 double SymmetricSolver::relative_residual() const {

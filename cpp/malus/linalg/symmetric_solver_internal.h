@@ -16,12 +16,6 @@ enum class SolveStatus {
   inaccurate,             ///< the residual stays above the limit: the matrix is too ill conditioned
 };
 
-/// Cost of a factorization, known after analyze() and before its memory is allocated.
-struct FactorEstimate {
-  double factor_bytes = 0;
-  double flops = 0;
-};
-
 /// Direct solver of sparse symmetric positive definite systems A x = b: CHOLMOD's supernodal Cholesky factorization
 /// (cholmod_analyze_p, cholmod_factorize, cholmod_solve) on the calling thread, so that results do not depend on the
 /// context's threads.
@@ -39,7 +33,7 @@ class SymmetricSolver {
   SymmetricSolver& operator=(SymmetricSolver&&) noexcept;
 
   /// `order`: elimination order, element k the unknown eliminated k-th; empty = one that CHOLMOD finds (METIS).
-  FactorEstimate analyze(const Matrix& lower, std::span<const int> order = {});
+  void analyze(const Matrix& lower, std::span<const int> order = {});
   /// Analyzes first if the pattern was not analyzed yet. Throws an input error if the pattern differs from the analyzed
   /// one.
   SolveStatus factorize(const Matrix& lower);
@@ -53,8 +47,8 @@ class SymmetricSolver {
   /// ln det A of the matrix last factorized.
   double log_determinant() const;
 
-  /// Estimate by the last analysis.
-  FactorEstimate estimate() const;
+  /// Memory that the factor takes, known after analyze() and before it is allocated.
+  double factor_bytes() const;
   /// |A x − b| / |b| of the last solve.
   double relative_residual() const;
 

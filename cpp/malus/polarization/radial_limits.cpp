@@ -13,7 +13,6 @@ constexpr double steep_tan2 = 0.13;  // 20°
 /// Error of a prior's zenith that the limit allows for, and a factor on the limit for errors of the prior's azimuth.
 constexpr double zenith_error_rad = to_radians(5), allowance = 2.5;
 constexpr double noise_sigmas = 5, degree_floor = 0.003;
-constexpr int blocks_per_side = 8;
 constexpr double min_cells = 100;
 
 }  // namespace
@@ -28,8 +27,8 @@ bool RadialLimits::looks_off_by_quarter() const {
 
 RadialLimits radial_limits(const std::vector<PhaseCell>& cells, double turn_rad, double refractive_index) {
   RadialLimits result;
-  const std::vector<int> parts = parts_of(cells, blocks_per_side);
-  std::vector<double> ahead(blocks_per_side * blocks_per_side, 0.0), ratios;
+  const std::vector<int> parts = parts_of(cells, parts_per_side);
+  std::vector<double> ahead(parts_per_side * parts_per_side, 0.0), ratios;
   const std::complex<double> turn = std::polar(1.0, -2 * turn_rad);
   for (std::size_t i = 0; i < cells.size(); ++i) {
     const double tan2 = cells[i].slopes.tan2();

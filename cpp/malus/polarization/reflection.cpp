@@ -1,9 +1,7 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "malus/core/cell_values_internal.h"
 #include "malus/core/even_choice_internal.h"
@@ -106,11 +104,11 @@ void validate(const PolarizationState& state, const Image<float>* prior_normals,
 
 }  // namespace
 
-void require_labels(const Image<std::uint8_t>& labels, const Size& size) {
-  require_size(labels, size, "label image");
+void require_labels(const Image<std::uint8_t>& labels, const Size& size, const std::string& name) {
+  require_size(labels, size, name);
   for (const std::uint8_t value : labels) {
     if (value > 2) {
-      throw input_error("label image has the value " + std::to_string(value) +
+      throw input_error(name + " has the value " + std::to_string(value) +
                         ", expected 0 (decide), 1 (diffuse) or 2 (specular)");
     }
   }
@@ -133,7 +131,7 @@ ReflectionMap map_reflection(const PolarizationState& state, const Pinhole* came
   ReflectionMap map;
   map.refractive_index = options.refractive_index;
   map.label = Image<std::uint8_t>(state.size());
-  map.zenith = Image<float>(state.size(), 1, std::numeric_limits<float>::quiet_NaN());
+  map.zenith = Image<float>(state.size(), 1, no_value);
   const double brewster_slope = options.refractive_index;  // tan of Brewster's angle
   const auto label_rows = [&](std::size_t begin, std::size_t end) {
     std::size_t clamped = 0;

@@ -1,17 +1,20 @@
 #pragma once
 
+#include <cstdint>
+#include <string>
+
 #include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
-#include "malus/core/reflection_choice.h"
 #include "malus/options/polarization_options.h"
 #include "malus/polarization/polarization_state.h"
 #include "malus/polarization/reflection.h"
 
 namespace malus {
 
-/// Throws malus::Error unless a user's label image has this size and only 0 (decide), 1 (diffuse) and 2 (specular).
-void require_labels(const Image<std::uint8_t>& labels, const Size& size);
+/// Throws malus::Error unless a user's label image has this size and only 0 (decide), 1 (diffuse) and 2 (specular);
+/// `name` is that of the image in the message.
+void require_labels(const Image<std::uint8_t>& labels, const Size& size, const std::string& name = "label image");
 
 /// Labels every valid pixel diffuse or specular and computes its zenith from the degree of polarization.
 ///

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <span>
-#include <vector>
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"

@@ -60,12 +60,10 @@ double FacingDepths::away_only() const {
   for (int side = 1; side <= coarsest; side *= 2) {
     const Size cells = cells_over(facing_count_.size(), side);
     Image<int> facing(cells), away(cells);
-    for (int v = 0; v < facing_count_.height(); ++v) {
-      for (int u = 0; u < facing_count_.width(); ++u) {
-        facing(u / side, v / side) += facing_count_(u, v);
-        away(u / side, v / side) += away_count_(u, v);
-      }
-    }
+    for_each_pixel(facing_count_.size(), [&](int u, int v) {
+      facing(u / side, v / side) += facing_count_(u, v);
+      away(u / side, v / side) += away_count_(u, v);
+    });
     int seen = 0, judged = 0, turned = 0;
     for (std::size_t i = 0; i < facing.count(); ++i) {
       const int points = facing[i] + away[i];

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <span>
 #include <string>
@@ -84,7 +83,7 @@ class ProjectedCloud {
   double median_depth(const Context& context) const {
     const auto depth = [this](std::size_t i) {
       const bool filled = i % block_size < starts_[i / block_size].back();
-      return filled ? points_[i].depth : std::numeric_limits<float>::quiet_NaN();
+      return filled ? points_[i].depth : no_value;
     };
     RankedValues ranked(points_.size(), depth, context);
     return ranked.at(std::array{ranked.size() / 2}).front();

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <string>
 #include <vector>
 
@@ -93,7 +92,7 @@ Image<float> rasterize_mesh(const TriangleMesh& mesh, const Pinhole& camera, con
       triangles_of[static_cast<std::size_t>(band)].push_back(static_cast<std::uint32_t>(t));
     }
   }
-  Image<float> depth(camera.size, 1, std::numeric_limits<float>::quiet_NaN());
+  Image<float> depth(camera.size, 1, no_value);
   parallel_for(context, bands, 1, [&](std::size_t band, std::size_t) {
     const int first = static_cast<int>(band) * band_rows;
     for (const std::uint32_t t : triangles_of[band]) {

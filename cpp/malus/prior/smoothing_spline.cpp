@@ -1,7 +1,6 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numbers>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
@@ -407,8 +406,7 @@ Eigen::Vector2d SmoothingSpline::evaluate_slope(double u, double v) const {
 void SmoothingSpline::evaluate_row(int v, float* out) const {
   for (int u = box_.u0; u < box_.u1; ++u) {
     const std::size_t cell = cell_of(u, v);
-    out[u - box_.u0] =
-        active_[cell] == 0 ? std::numeric_limits<float>::quiet_NaN() : static_cast<float>(value(cell, basis(u, v)));
+    out[u - box_.u0] = active_[cell] == 0 ? no_value : static_cast<float>(value(cell, basis(u, v)));
   }
 }
 

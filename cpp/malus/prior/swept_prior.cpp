@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -37,7 +36,7 @@ Measured measured_depths(const SweptDepth& swept, const Mask& mask) {
     object += is_object;
     if (usable(all.depth[i], all.sigma[i])) continue;
     const bool of_hull = has_hull && usable(swept.hull[i], swept.hull_sigma[i]);
-    all.depth[i] = of_hull ? swept.hull[i] : std::numeric_limits<float>::quiet_NaN();
+    all.depth[i] = of_hull ? swept.hull[i] : no_value;
     if (of_hull) all.sigma[i] = swept.hull_sigma[i];
     (of_hull ? hull : missing) += is_object;
   }

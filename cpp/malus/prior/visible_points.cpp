@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <numbers>
 #include <string>
 #include <utility>
@@ -18,9 +17,7 @@ namespace {
 /// Spacing of the visible points: that of evenly spread points with the same distance of the farthest neighbor
 /// (median).
 double spacing_of(const PointJudgement& judgement, int neighbors, const Context& context) {
-  const auto distance2 = [&](std::size_t i) {
-    return judgement.hidden[i] ? std::numeric_limits<float>::quiet_NaN() : judgement.distance2[i];
-  };
+  const auto distance2 = [&](std::size_t i) { return judgement.hidden[i] ? no_value : judgement.distance2[i]; };
   RankedValues ranked(judgement.distance2.size(), distance2, context);
   const std::size_t found = std::min(static_cast<std::size_t>(neighbors), ranked.size() - 1);
   if (found == 0) return 0;

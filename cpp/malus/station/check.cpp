@@ -12,7 +12,6 @@
 #include "malus/evidence/object_size_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/io/image_file_internal.h"
-#include "malus/polarization/reflection_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/rasterize_mesh_internal.h"
 #include "malus/prior/shape_depth_internal.h"
@@ -228,7 +227,7 @@ Plan check_station(const Station& station, const Options& options, const Context
   plan.object_pixels = static_cast<double>(count_of_set(object));
   read_images(station, object, options.capture, plan, context);
   for (const Finding& finding : station.file_findings) warn(plan, finding);
-  if (station.file.optics.label_image || station.labels) require_labels(captured_labels(station), plan.size);
+  captured_labels(station);  // throws for labels that a run would refuse
   Details details{{"polarization", describe_images(station)}};
   if (station.has_prior()) {
     require_camera(station.file);

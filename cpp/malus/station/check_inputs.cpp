@@ -6,6 +6,7 @@
 #include "malus/capture/capture_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/io/image_file_internal.h"
+#include "malus/polarization/reflection_internal.h"
 #include "malus/station/check_inputs_internal.h"
 
 namespace malus {
@@ -61,7 +62,10 @@ Mask captured_object(const Station& station, Size size) {
 }
 
 Mask captured_labels(const Station& station) {
-  if (station.labels) return *station.labels;
+  if (station.labels) {
+    require_labels(*station.labels, captured_size(station));
+    return *station.labels;
+  }
   if (!station.file.optics.label_image) return {};
   const std::filesystem::path& path = *station.file.optics.label_image;
   const std::optional<LensCamera> lens = station.file.known_lens();
@@ -71,7 +75,9 @@ Mask captured_labels(const Station& station) {
     throw input_error("[optics].reflection = " + path.string() +
                       " is of a run, in the view without lens distortion; expected labels of the images as taken");
   }
-  return read_labels(path);
+  Mask labels = read_labels(path);
+  require_labels(labels, captured_size(station), "label image " + path.string());
+  return labels;
 }
 
 Mask labels_in_view(const Station& station, const Context& context) {

@@ -23,8 +23,9 @@ Size captured_size(const Station& station);
 /// Mask of the object in the images as taken; without a mask file, all pixels.
 Mask captured_object(const Station& station, Size size);
 
-/// Labels of the images as taken; empty without any. Input error for the label.png of a run if the lens has
-/// distortion: a run writes labels of the undistorted view, which would be undistorted once more.
+/// Labels of the images as taken; empty without any. Input error for labels of another size than the images or with
+/// other values than 0, 1 and 2, and for the label.png of a run if the lens has distortion: a run writes labels of the
+/// undistorted view, which would be undistorted once more.
 Mask captured_labels(const Station& station);
 
 /// The labels in the undistorted view; empty without any.

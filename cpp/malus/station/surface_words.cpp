@@ -4,7 +4,7 @@
 
 #include "malus/core/digits_internal.h"
 #include "malus/core/version.h"
-#include "malus/fusion/refined_share_internal.h"
+#include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/station/surface_words_internal.h"
 
 namespace malus {

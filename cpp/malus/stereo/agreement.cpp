@@ -5,6 +5,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/stereo/agreement_internal.h"
 #include "malus/stereo/regions_internal.h"
 
@@ -35,13 +36,11 @@ struct Surroundings {
 std::vector<Surroundings> column_sums(const HalvesDifference& halves, int v) {
   const Image<float>& fine = *halves.fine;
   std::vector<Surroundings> columns(static_cast<std::size_t>(fine.width()));
-  for (int j = std::max(v - radius, 0); j <= std::min(v + radius, fine.height() - 1); ++j) {
-    for (int u = 0; u < fine.width(); ++u) {
-      const float difference = std::max(std::abs(fine(u, j)), std::abs((*halves.wide)(u, j)));
-      if (!std::isfinite(difference)) continue;
-      columns[static_cast<std::size_t>(u)].add({1, difference < agreeing_px ? 1.0F : 0.0F, difference * difference});
-    }
-  }
+  for_each_pixel(PixelRect{0, v, fine.width(), v + 1}.grown(radius, fine.size()), [&](int u, int j) {
+    const float difference = std::max(std::abs(fine(u, j)), std::abs((*halves.wide)(u, j)));
+    if (!std::isfinite(difference)) return;
+    columns[static_cast<std::size_t>(u)].add({1, difference < agreeing_px ? 1.0F : 0.0F, difference * difference});
+  });
   return columns;
 }
 

@@ -1,8 +1,6 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <sstream>
-#include <utility>
 
 #include "malus/core/error.h"
 #include "malus/core/even_choice_internal.h"

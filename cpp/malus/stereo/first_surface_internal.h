@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <vector>
 
-#include "malus/core/camera.h"
 #include "malus/core/context.h"
 #include "malus/core/image.h"
 #include "malus/core/pose.h"

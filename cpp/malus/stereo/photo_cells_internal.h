@@ -2,7 +2,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"

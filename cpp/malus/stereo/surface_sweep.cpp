@@ -65,10 +65,9 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
 template <class Value>
 float typical(std::size_t pixels, Value&& value) {
   constexpr double most = 1e6;
-  const double share = std::min(1.0, most / static_cast<double>(pixels));
   std::vector<float> finite;
   for (std::size_t i = 0; i < pixels; ++i) {
-    if (share < 1 && !is_chosen(i, share)) continue;
+    if (!is_chosen(i, most / static_cast<double>(pixels))) continue;
     if (const float x = value(i); std::isfinite(x)) finite.push_back(x);
   }
   return median_in_place(finite);

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <atomic>
-#include <cmath>
 #include <functional>
 #include <vector>
 
@@ -83,19 +82,17 @@ void sweep_tile(const MatchLevel& level, const Image<float>& log_depth, PixelRec
   const TileCosts costs = tile_costs(matcher, settings, width * height, context);
   std::vector<float> aggregated = costs.all;
   aggregate_semi_globally(aggregated, width, height, labels, settings.small_step, settings.large_step, context);
-  for (int v = inner.v0; v < inner.v1; ++v) {
-    for (int u = inner.u0; u < inner.u1; ++u) {
-      const std::size_t i = static_cast<std::size_t>(v - tile.v0) * width + static_cast<std::size_t>(u - tile.u0);
-      if (level.mask(u, v) == 0 || matcher.seen()[i] == 0) continue;
-      const Peak peak = lowest(&aggregated[i * labels], labels);
-      result.log_depth(u, v) = log_depth(u, v) + settings.step * (peak.label - static_cast<float>(settings.half_count));
-      result.score(u, v) = 1 - costs.all[i * labels + static_cast<std::size_t>(peak.index)];
-      if (settings.match.compare_halves && matcher.halves_see(i)) {
-        result.difference(u, v) =
-            lowest(&costs.half[0][i * labels], labels).label - lowest(&costs.half[1][i * labels], labels).label;
-      }
+  for_each_pixel(inner, level.mask, [&](int u, int v) {
+    const std::size_t i = tile.size().index(u - tile.u0, v - tile.v0);
+    if (matcher.seen()[i] == 0) return;
+    const Peak peak = lowest(&aggregated[i * labels], labels);
+    result.log_depth(u, v) = log_depth(u, v) + settings.step * (peak.label - static_cast<float>(settings.half_count));
+    result.score(u, v) = 1 - costs.all[i * labels + static_cast<std::size_t>(peak.index)];
+    if (settings.match.compare_halves && matcher.halves_see(i)) {
+      result.difference(u, v) =
+          lowest(&costs.half[0][i * labels], labels).label - lowest(&costs.half[1][i * labels], labels).label;
     }
-  }
+  });
 }
 
 }  // namespace

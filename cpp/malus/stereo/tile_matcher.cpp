@@ -47,19 +47,16 @@ void TileMatcher::take_reference(const MatchLevel& level, const Surface& log_dep
   weighted_.assign(n, 0.0F);
   double sum = 0;
   std::size_t object = 0;
-  for (int v = std::max(padded_.v0, 0); v < std::min(padded_.v1, level.mask.height()); ++v) {
-    for (int u = std::max(padded_.u0, 0); u < std::min(padded_.u1, level.mask.width()); ++u) {
-      const float depth = log_depth(u, v);
-      if (level.mask(u, v) == 0 || !std::isfinite(depth)) continue;
-      const std::size_t i =
-          static_cast<std::size_t>(v - padded_.v0) * stride_ + static_cast<std::size_t>(u - padded_.u0);
-      depth_[i] = std::exp(depth);
-      weight_[i] = 1.0F;
-      weighted_[i] = level.reference(u, v);
-      sum += depth_[i];
-      ++object;
-    }
-  }
+  for_each_pixel(tile_.grown(settings_.radius, level.mask.size()), level.mask, [&](int u, int v) {
+    const float depth = log_depth(u, v);
+    if (!std::isfinite(depth)) return;
+    const std::size_t i = padded_.size().index(u - padded_.u0, v - padded_.v0);
+    depth_[i] = std::exp(depth);
+    weight_[i] = 1.0F;
+    weighted_[i] = level.reference(u, v);
+    sum += depth_[i];
+    ++object;
+  });
   const float mean_depth = object > 0 ? static_cast<float>(sum / static_cast<double>(object)) : 1.0F;
   std::vector<float> squared(n);
   for (std::size_t i = 0; i < n; ++i) {

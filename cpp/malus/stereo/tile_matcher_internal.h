@@ -75,9 +75,7 @@ class TileMatcher {
     std::array<std::vector<float>, 6> path;  ///< x0 x1 x2 y0 y1 y2, for each pixel of the padded tile
   };
 
-  std::size_t tile_pixels() const {
-    return static_cast<std::size_t>(tile_.width()) * static_cast<std::size_t>(tile_.height());
-  }
+  std::size_t tile_pixels() const { return tile_.size().area(); }
   void take_reference(const MatchLevel& level, const Surface& log_depth);
   void choose_views(const MatchLevel& level);
   void project(const View& view, float offset, std::vector<float>& x, std::vector<float>& y) const;

@@ -1,7 +1,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <string>
 
 #include "malus/core/cell_values_internal.h"
@@ -143,14 +142,12 @@ Image<float> at_pixels(const Image<float>& values, const Grid& grid, const Mask&
     const double x = (u + 0.5) / grid.spacing - 0.5, y = (v + 0.5) / grid.spacing - 0.5;
     const int left = static_cast<int>(std::floor(x)), top = static_cast<int>(std::floor(y));
     double sum = 0, weight = 0;
-    for (int j = top; j <= top + 1; ++j) {
-      for (int i = left; i <= left + 1; ++i) {
-        if (!values.contains(i, j) || std::isnan(values(i, j))) continue;
-        const double w = std::max(1e-6, (1 - std::abs(x - i)) * (1 - std::abs(y - j)));
-        sum += w * values(i, j);
-        weight += w;
-      }
-    }
+    for_each_pixel(PixelRect{left, top, left + 2, top + 2}, [&](int i, int j) {
+      if (!values.contains(i, j) || std::isnan(values(i, j))) return;
+      const double w = std::max(1e-6, (1 - std::abs(x - i)) * (1 - std::abs(y - j)));
+      sum += w * values(i, j);
+      weight += w;
+    });
     if (weight > 0) all(u, v) = static_cast<float>(sum / weight);
   });
   return all;

@@ -3,7 +3,6 @@
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <limits>
 #include <sstream>
 #include <vector>
 
@@ -25,9 +24,7 @@ void for_strips(const MeshInStrips& mesh, const Context& context, Visit&& visit)
 
 double median_gsd(const FusedSurface& surface, const Context& context) {
   const Image<float>& depth = surface.depth;
-  const auto usable = [&depth](std::size_t i) {
-    return depth[i] > 0 ? depth[i] : std::numeric_limits<float>::quiet_NaN();
-  };
+  const auto usable = [&depth](std::size_t i) { return depth[i] > 0 ? depth[i] : no_value; };
   RankedValues depths(depth.count(), usable, context);
   return depths.at(std::array{depths.size() / 2}).front() / surface.camera.focal();
 }
@@ -85,8 +82,7 @@ void allocate(Dem& dem, const MeshInStrips& mesh, bool may_grow, const Context& 
   dem.pixel *= growth;
   const Eigen::Array2d low = box.min().array() / growth, extent = (box.sizes().array() / growth).floor() + 1;
   dem.origin = dem.world(low.x(), low.y(), 0);
-  dem.elevation = Image<float>({static_cast<int>(extent.x()), static_cast<int>(extent.y())}, 1,
-                               std::numeric_limits<float>::quiet_NaN());
+  dem.elevation = Image<float>({static_cast<int>(extent.x()), static_cast<int>(extent.y())}, 1, no_value);
 }
 
 /// Raises a pixel, which may have no elevation yet, to this one. The maximum does not depend on the order, so that the

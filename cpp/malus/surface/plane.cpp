@@ -2,9 +2,9 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
-#include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/surface/plane_internal.h"
@@ -34,17 +34,15 @@ Plane weighted_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vecto
   return {origin + mean, Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvectors().col(0)};
 }
 
-/// 1.4826 × median of |distance|.
-double robust_spread(std::span<const Eigen::Vector3d> points, const Plane& plane) {
+double spread_about(const Plane& plane, std::span<const Eigen::Vector3d> points) {
   std::vector<double> distances(points.size());
-  std::transform(points.begin(), points.end(), distances.begin(),
-                 [&](const Eigen::Vector3d& x) { return std::abs(plane.signed_distance(x)); });
-  return deviation_per_median * percentile_in_place(distances, 0.5);
+  std::ranges::transform(points, distances.begin(), [&](const auto& x) { return plane.signed_distance(x); });
+  return robust_sigma(std::move(distances));
 }
 
 Plane robust_plane(std::span<const Eigen::Vector3d> points, Plane plane, const Context& context) {
   for (int iteration = 0; iteration < 20; ++iteration) {
-    const double limit = 4.685 * robust_spread(points, plane);
+    const double limit = 4.685 * spread_about(plane, points);
     if (!(limit > 0)) break;
     const Plane next = weighted_plane(points, plane.centroid, context, [&](const Eigen::Vector3d& x) {
       const double ratio = plane.signed_distance(x) / limit;
@@ -80,7 +78,7 @@ PlaneFit fit_plane(std::span<const Eigen::Vector3d> points, const Eigen::Vector3
     return part;
   });
   fit.rmse = std::sqrt(squares / static_cast<double>(points.size()));
-  fit.mad = robust_spread(points, fit.plane);
+  fit.mad = spread_about(fit.plane, points);
   for (const Eigen::Vector3d& x : points) fit.max_abs = std::max(fit.max_abs, std::abs(fit.plane.signed_distance(x)));
   return fit;
 }

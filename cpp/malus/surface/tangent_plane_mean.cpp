@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <tuple>
 
+#include "malus/core/image.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/surface/tangent_plane_mean_internal.h"
 
@@ -66,7 +66,7 @@ std::vector<float> tangent_plane_mean(const LatticePoints& points, const NodeCub
       }
     }
   });
-  std::vector<float> distances(weights.size(), std::numeric_limits<float>::quiet_NaN());
+  std::vector<float> distances(weights.size(), no_value);
   for (std::size_t k = 0; k < weights.size(); ++k) {
     if (weights[k] > least_weight) distances[k] = static_cast<float>(sums[k] / weights[k]);
   }

@@ -7,6 +7,7 @@
 #include <random>
 
 #include "evidence_scene.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 
 namespace malus {
@@ -39,6 +40,20 @@ TEST(PriorAlignment, ACorrectlyPlacedCloudGivesNoWarning) {
   EXPECT_NEAR(found.scale, 1, 0.01);
   EXPECT_NEAR(found.gsd, mm_per_px, 0.005);
   EXPECT_GT(found.object_covered, 0.95);
+}
+
+TEST(PriorAlignment, ImagesNarrowerThanAPixelOfTheReducedViewTellNothing) {
+  EvidenceScene scene;
+  const PixelRect strip{0, 110, 300, 112};
+  scene.camera = scene.camera.cropped(strip);
+  scene.object = cropped(scene.object, strip);
+  scene.depth = cropped(scene.depth, strip);
+  scene.everything = cropped(scene.everything, strip);
+  for (Image<float>* raster : {&scene.state.i_un, &scene.state.rho, &scene.state.phi})
+    *raster = cropped(*raster, strip);
+  scene.state.valid = cropped(scene.state.valid, strip);
+  EXPECT_FALSE(check(scene, scene.cloud).color.available);
+  EXPECT_FALSE(check_alignment(scene.depth, scene.images(), {}).phase.available);
 }
 
 TEST(PriorAlignment, NormalsOfZeroLengthAreNotKnown) {

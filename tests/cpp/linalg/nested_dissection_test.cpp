@@ -24,10 +24,9 @@ TEST(NestedDissection, FillsInLittleMoreThanAGraphPartitioner) {
   add_height_like_rows(system);
   const auto matrix = system.lower(1e-9);
   SymmetricSolver by_graph{Context{}}, by_position{Context{}};
-  const FactorEstimate graph = by_graph.analyze(matrix);
-  const FactorEstimate position = by_position.analyze(matrix, nested_dissection(pixels, GridSystem::reach));
-  EXPECT_LT(position.factor_bytes, 1.6 * graph.factor_bytes);
-  EXPECT_LT(position.flops, 2 * graph.flops);
+  by_graph.analyze(matrix);
+  by_position.analyze(matrix, nested_dissection(pixels, GridSystem::reach));
+  EXPECT_LT(by_position.factor_bytes(), 1.6 * by_graph.factor_bytes());
   Eigen::VectorXd x, y;
   ASSERT_EQ(by_graph.factorize(matrix), SolveStatus::solved);
   ASSERT_EQ(by_position.factorize(matrix), SolveStatus::solved);

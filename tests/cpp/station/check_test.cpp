@@ -305,7 +305,12 @@ TEST(CheckStation, ReadsADepthMapAndLabelsAsARunWould) {
   check_station(station, {}, {});
   station.file.optics.label_image = folder / "labels.png";
   expect_error(
-      ErrorCode::input, [&] { check_station(station, {}, {}); }, "label image has the value 255");
+      ErrorCode::input, [&] { check_station(station, {}, {}); },
+      "label image " + (folder / "labels.png").string() + " has the value 255");
+  write_png(folder / "labels.png", Image<std::uint8_t>({30, 40}, 1, std::uint8_t{1}));
+  expect_error(
+      ErrorCode::input, [&] { check_station(station, {}, {}); },
+      "label image " + (folder / "labels.png").string() + " is 30 x 40 pixels, expected 40 x 30");
 
   std::filesystem::create_directory(folder / "polarization");
   station.file.optics.label_image = folder / "polarization/label.png";
