@@ -8,7 +8,7 @@ from typing import Any
 from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
-from malus.columns import plain
+from malus.columns import plain, printed
 from malus.exports.exporter import Exporter
 from malus.figures import Figure, Plates
 from malus.lengths import scale_bar, shown
@@ -74,7 +74,7 @@ def write_page(
     height, width = shades[0][box].shape[:2]
     length, bar_label = scale_bar(width * pixel, before.unit)
     page = template(
-        "change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain}
+        "change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain, "printed": printed}
     ).render(
         figures=figures,
         dates=[_date(figures[which]) for which in ("before", "after")],
