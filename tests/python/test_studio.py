@@ -392,6 +392,15 @@ def test_comments_stay_and_only_what_changed_changes(tmp_path: Path) -> None:
     assert values["patch"] == [{"name": "1", "box": [1, 2, 3, 9]}, {"name": "2", "box": [5, 5, 6, 6]}]
 
 
+def test_a_new_value_does_not_part_the_next_table_from_its_comment(tmp_path: Path) -> None:
+    from malus.studio.document import StationDocument
+
+    text = '[polarized]\nimages = ["a.png"]\n# as in the notebook\n\n# The cameras.\n[camera]\nimage = "a.png"\n'
+    document = StationDocument(tmp_path / "station.toml", text)
+    document.set("polarized", "mask", "mask.png")
+    assert document.text == text.replace("notebook\n", 'notebook\nmask = "mask.png"\n')
+
+
 def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     from malus import InputError
     from malus.studio.document import StationDocument
