@@ -90,6 +90,15 @@ def open_station(page: Any, name: str) -> None:
     page.locator("#plan", has_text="Ready").wait_for()
 
 
+def test_a_change_that_cannot_be_saved_is_not_shown_as_saving(page: Any, station: Path) -> None:
+    station.write_text(STATION.replace('[prior]\ncloud = "dense/cloud.ply"\n', "").replace("[station]", 'prior = { cloud = "dense/cloud.ply" }\n\n[station]'))  # fmt: skip
+    open_station(page, station.name)
+    page.get_by_label("Coarse surface (prior)").select_option("")
+    page.locator("#message", has_text="prior is no table").wait_for()
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert page.get_by_label("Coarse surface (prior)").input_value() == "cloud:dense/cloud.ply"
+
+
 def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -> None:
     kept = held(page, "set")
     place = page.get_by_role("textbox", name="Name of the object")
