@@ -25,6 +25,7 @@ from malus import raster as raster_module
 from malus import relief as relief_module
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.figures import maps, profiles
+from malus.report import _worst_registration
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, page_in_browser, pixel_mm, turning_view
@@ -609,6 +610,12 @@ def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.Wa
     assert figures.drawing.names_in_picture(["front", "חזית", "Größe"]) == (["front", "(2)", "Größe"], " (2) is חזית.")
     shown = pages.template("campaign.html.j2").environment.from_string("{{ said | tojson }}")
     assert shown.render(said={"b": "青銅鏡", "a": "<"}) == '{"b": "青銅鏡", "a": "\\u003c"}'
+
+
+def test_images_that_were_not_aligned_have_no_residual() -> None:
+    """The report called images of a polarization camera, and those of capture.registration = off, aligned to 0 px."""
+    assert _worst_registration([0.0, 0.0, 0.0]) is None and _worst_registration([None, None]) is None
+    assert _worst_registration([0.0, 0.02, None, 0.01]) == 1
 
 
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:
