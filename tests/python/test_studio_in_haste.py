@@ -99,6 +99,21 @@ def test_a_change_that_cannot_be_saved_is_not_shown_as_saving(page: Any, station
     assert page.get_by_label("Coarse surface (prior)").input_value() == "cloud:dense/cloud.ply"
 
 
+def test_of_quick_changes_only_the_last_is_checked(page: Any, station: Path) -> None:
+    kept = held(page, "check")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/api/check" in request.url else None)
+    for level in ("60000", "61000", "62000"):
+        page.get_by_label("White level").fill(level)
+        page.get_by_label("White level").press("Tab")
+        page.locator("#plan", has_text="Checking").wait_for()
+        wait_for(page, lambda level=level: page.get_by_label("White level").get_attribute("value") == level)
+    assert len(asked) == 1
+    let_go(page, kept, "check")
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert len(asked) == 2
+
+
 def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -> None:
     kept = held(page, "set")
     place = page.get_by_role("textbox", name="Name of the object")

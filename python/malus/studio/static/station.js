@@ -211,13 +211,19 @@ function anglesOf(typed) {
 }
 
 let asked = 0;
+let lastCheck = Promise.resolve();
+// A check reads all images. So only one runs at a time, and after several quick changes only the newest state is checked.
 async function check() {
   const number = ++asked;
   byId('plan').textContent = 'Checking …';
   byId('plan').className = '';
   let said;
   try {
-    said = await ask('check', { path: state.station.path });
+    await lastCheck;
+    if (number !== asked) return;
+    const answer = ask('check', { path: state.station.path });
+    lastCheck = answer.catch(() => {});
+    said = await answer;
   } catch (error) {
     if (number === asked) byId('plan').textContent = 'The station could not be checked.';
     throw error;
