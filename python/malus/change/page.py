@@ -39,11 +39,12 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
             shade=plates.shade("fused"),
             labels=labels,
         ),
-        plates.plain_map(
+        plates.map(
             "limit",
             "Smallest detectable change",
             "A smaller one may be measurement error alone (95 %).",
             plates.small(distances.limit) * um,
+            "viridis",
             "µm",
         ),
     ]
