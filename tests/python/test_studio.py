@@ -391,7 +391,10 @@ def wait_until(true: Callable[[], bool]) -> None:
 @pytest.mark.parametrize(
     ("message", "field"),
     [
-        ('the object is 9 m wide, 90 m from the camera: that is unlikely: is unit = "mm" meant instead of "m"?', "unit"),
+        (
+            'the object is 9 m wide, 90 m from the camera: that is unlikely: is unit = "mm" meant instead of "m"?',
+            "unit",
+        ),
         ('[station] unit = "parsec", expected um, mm, cm, m, in or ft', "unit"),
         ("[[scale]] 1: distance = -3, expected more than 0", "scale"),
         ('[prior] cloud = "a.ply": no such file', "prior"),

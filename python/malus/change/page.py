@@ -75,7 +75,8 @@ def write_page(
     height, width = shades[0][box].shape[:2]
     length, bar_label = scale_bar(width * pixel, before.unit)
     page = template(
-        "change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain, "printed": printed}
+        "change.html.j2",
+        {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain, "printed": printed},
     ).render(
         figures=figures,
         dates=[_date(figures[which]) for which in ("before", "after")],
