@@ -716,6 +716,16 @@ def test_scale_bars_fit_the_scale_of_their_pictures(work: Path) -> None:
                 assert share == pytest.approx(said, rel=0.02) and within, (medium, bars)
 
 
+def test_a_long_name_makes_the_page_no_wider_than_a_phone(work: Path, tmp_path: Path) -> None:
+    text = (work / "report/index.html").read_text()
+    name = malus.Workspace(work).quality["name"]
+    long = "Inventarnummer_1893_4711_Fragment_eines_Reliefs_mit_Inschrift_und_Rosette"
+    (tmp_path / "index.html").write_text(text.replace(f"<bdi>{name}</bdi>", f"<bdi>{long}</bdi>"))
+    with page_in_browser(tmp_path / "index.html", 390, 844) as page:
+        assert page.get_by_role("heading", name=long).count() == 1
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+
+
 def test_the_scale_of_the_turning_view_follows_zoom(work: Path) -> None:
     text = (work / "report/index.html").read_text()
     width, height, depth = json.loads(text.split('id="mesh-data">')[1].split("</script>")[0])["extent"]

@@ -99,6 +99,23 @@ def test_a_change_that_cannot_be_saved_is_not_shown_as_saving(page: Any, station
     assert page.get_by_label("Coarse surface (prior)").input_value() == "cloud:dense/cloud.ply"
 
 
+def test_long_names_make_no_part_wider_than_a_phone(page: Any, served: Served, station: Path) -> None:
+    long = "station_Inventarnummer_1893_4711_Fragment_eines_Reliefs_mit_Inschrift_und_Rosette"
+    images = shutil.copytree(served.folder / "pol", served.folder / long)
+    patch = f'\n[[patch]]\nname = "{long}"\nbox = [20, 20, 60, 60]\n'
+    (station.parent / f"{long}.toml").write_text(STATION.replace('"pol"', f'"{long}"') + patch)
+    page.set_viewport_size({"width": 390, "height": 844})
+    open_station(page, f"{long}.toml")
+    for part in ("Station", "Draw", "Options", "Run"):
+        if part == "Draw":
+            draw(page, "patch")
+            page.locator("#draw-side legend", has_text=long).wait_for()
+        else:
+            go(page, part)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390, part
+    shutil.rmtree(images)
+
+
 def test_of_quick_changes_only_the_last_is_checked(page: Any, station: Path) -> None:
     kept = held(page, "check")
     asked: list[str] = []
