@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus._files import write_bytes
-from malus.figures.drawing import new_drawing
+from malus.figures.drawing import MOST_LETTERS, can_be_drawn, new_drawing
 from malus.raster import reduced, step_for
 from malus.station import Station
 
@@ -48,7 +48,9 @@ def draw_overlay(
     high = rows * (panel_height + _HEAD_INCHES) + foot
     drawing = new_drawing(wide, high)
     panels = []
-    for number, title in enumerate((f"{name}: image and mask", "the coarse surface's points on it")):
+    # A name that is longer than the panel would be cut off at both ends.
+    named = f"{name}: " if len(name) <= MOST_LETTERS and can_be_drawn(name) else ""
+    for number, title in enumerate((f"{named}image and mask", "the coarse surface's points on it")):
         left = 0.1 + number * (panel_width + 0.1) * beside
         bottom = foot + (1 - number) * (panel_height + _HEAD_INCHES) * (not beside)
         panels.append(drawing.add_axes((left / wide, bottom / high, panel_width / wide, panel_height / high)))

@@ -169,6 +169,14 @@ def _changed_options(options: Mapping[str, Any]) -> list[tuple[str, Any]]:
     return changed
 
 
+def _worst_registration(rms_px: Sequence[float | None]) -> int | None:
+    """The image that lies worst on the first one, by its place in the list; None if no image was aligned, as those of a polarization
+    camera: the list then holds zeros, which were not measured.
+    """
+    measured = [rms or 0.0 for rms in rms_px]
+    return measured.index(max(measured)) if any(measured) else None
+
+
 def _term(name: str, text: str | None = None) -> Markup:
     """A term of the glossary, shown as `text` or as the term itself, with its definition on hovering and for screen readers."""
     return Markup('<abbr title="{}">{}</abbr>').format(definitions()[name], text or name)
@@ -223,7 +231,6 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
     figures = _figures(plates)
     m3c2 = workspace.m3c2
     numbers = _Quality({**quality, "m3c2": m3c2})
-    registration = [-1.0 if rms is None else rms for rms in quality["registration_rms_px"]]
     mesh = viewer.mesh_view(workspace)
     render = partial(
         template("report.html.j2", {"aligned": aligned}).render,
@@ -250,7 +257,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
         profiles=table_1(workspace, {name: name for name in SURFACES}).without_empty(),
         sections=_sections(quality, figures),
         others=[(name, title) for name, title in _OTHERS if quality.get(name)],
-        worst_registration=registration.index(max(registration)) if registration else None,
+        worst_registration=_worst_registration(quality["registration_rms_px"]),
         changed=_changed_options(manifest["options"]),
         steps=steps,
         times=[(step, manifest["times"][step]) for step in ("photos", "sweep", *steps) if step in manifest["times"]],

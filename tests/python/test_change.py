@@ -127,8 +127,13 @@ def test_only_regions_that_chance_does_not_explain_are_reported(dates: tuple[Pat
     assert sorted((round(region.u), round(region.v)) for region in found) == [(64, 24), (100, 100)]
 
 
-def test_a_surface_compared_with_itself_shows_no_change(dates: tuple[Path, Path], tmp_path: Path) -> None:
-    change = malus.compare(dates[0], dates[0], tmp_path / "none", threads=2)
+def test_a_surface_compared_with_itself_shows_no_change(
+    dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(dates[0])
+    change = malus.compare(".", dates[0], tmp_path / "none", threads=2)
+    page = (tmp_path / "none/index.html").read_text()
+    assert f", {dates[0].name}. After: " in page and "by them lengths on the later one differ by " in page
     gsd = malus.Workspace(dates[0]).quality["gsd"]
     assert change.regions == [] and np.nanmax(np.abs(change.distance)) < 0.2 * gsd
     assert np.nanmedian(np.abs(change.distance)) < 0.02 * gsd

@@ -24,7 +24,7 @@ from conftest import malus as run_malus
 from malus import _core
 from malus.demo import example_station
 from malus.figures import Plates, histograms, maps, profiles
-from malus.figures.drawing import tag
+from malus.figures.drawing import MOST_LETTERS, names_in_picture, tag
 from malus.paper import writing
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
@@ -490,6 +490,20 @@ def test_names_in_pictures_do_not_cover_what_they_name() -> None:
         box, (u, v) = text.get_bbox_patch().get_window_extent(), axes.transData.transform(place)
         assert box.y0 > v + 2 or box.x1 < u - 2, place
         assert box.x0 > 0 and box.y1 < drawing.bbox.height, place
+
+
+def test_names_in_pictures_do_not_leave_them() -> None:
+    """The name of a profile that begins in the upper left corner was not seen at all, that of one at the right was cut off."""
+    drawing = Drawing(figsize=(6.4, 4.3))
+    axes = drawing.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-0.5, 719.5), ylim=(479.5, -0.5))
+    for place in [(2, 2), (700, 200), (715, 3), (1, 300)]:
+        tag(axes, place, "left of the inscription"[:MOST_LETTERS])
+    FigureCanvasAgg(drawing).draw()
+    for text in axes.texts:
+        box = text.get_bbox_patch().get_window_extent()
+        assert box.x0 >= 0 and box.x1 <= drawing.bbox.width and box.y0 >= 0 and box.y1 <= drawing.bbox.height, text.xy
+    assert names_in_picture(["left", "l" * (MOST_LETTERS + 1)])[0] == ["left", "(2)"]
 
 
 def test_oblique_view_leaves_no_holes_in_slopes() -> None:

@@ -25,6 +25,7 @@ from malus import raster as raster_module
 from malus import relief as relief_module
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.figures import maps, profiles
+from malus.report import _worst_registration
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, page_in_browser, pixel_mm, turning_view
@@ -611,6 +612,12 @@ def test_names_in_any_script_can_be_read(finished_grid: Path, recwarn: pytest.Wa
     assert shown.render(said={"b": "青銅鏡", "a": "<"}) == '{"b": "青銅鏡", "a": "\\u003c"}'
 
 
+def test_images_that_were_not_aligned_have_no_residual() -> None:
+    """The report called images of a polarization camera, and those of capture.registration = off, aligned to 0 px."""
+    assert _worst_registration([0.0, 0.0, 0.0]) is None and _worst_registration([None, None]) is None
+    assert _worst_registration([0.0, 0.02, None, 0.01]) == 1
+
+
 def test_text_of_charts_is_not_cut_off(work: Path) -> None:
     chart = np.asarray(Image.open(work / "report/figures/sinusoids.png").convert("L"))
     assert chart[:, -2:].min() > 200 and chart[:2].min() > 200
@@ -707,6 +714,16 @@ def test_scale_bars_fit_the_scale_of_their_pictures(work: Path) -> None:
             assert len(bars) == 3
             for share, said, within in bars:
                 assert share == pytest.approx(said, rel=0.02) and within, (medium, bars)
+
+
+def test_a_long_name_makes_the_page_no_wider_than_a_phone(work: Path, tmp_path: Path) -> None:
+    text = (work / "report/index.html").read_text()
+    name = malus.Workspace(work).quality["name"]
+    long = "Inventarnummer_1893_4711_Fragment_eines_Reliefs_mit_Inschrift_und_Rosette"
+    (tmp_path / "index.html").write_text(text.replace(f"<bdi>{name}</bdi>", f"<bdi>{long}</bdi>"))
+    with page_in_browser(tmp_path / "index.html", 390, 844) as page:
+        assert page.get_by_role("heading", name=long).count() == 1
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
 def test_the_scale_of_the_turning_view_follows_zoom(work: Path) -> None:

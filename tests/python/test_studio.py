@@ -11,9 +11,10 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -366,6 +367,46 @@ def test_odd_lines_of_a_run_do_not_end_the_queue(tmp_path: Path, monkeypatch: py
     queue.close()
 
 
+def test_a_run_that_was_canceled_too_late_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = pytest.importorskip("malus.studio.runs")
+    program = tmp_path / "python"
+    program.write_text("#!/bin/sh\ntrap 'exit 0' INT\necho ready\nwhile :; do sleep 0.1; done\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(runs.sys, "executable", str(program))
+    queue = runs.Runs()
+    run = queue.add_station(tmp_path / "station.toml", tmp_path / "work", "grid", "work", {})
+    wait_until(lambda: run.log == ["ready"])
+    queue.cancel(run.number)
+    wait_until(lambda: run.state == "done")
+    queue.close()
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("message", "field"),
+    [
+        (
+            'the object is 9 m wide, 90 m from the camera: that is unlikely: is unit = "mm" meant instead of "m"?',
+            "unit",
+        ),
+        ('[station] unit = "parsec", expected um, mm, cm, m, in or ft', "unit"),
+        ("[[scale]] 1: distance = -3, expected more than 0", "scale"),
+        ('[prior] cloud = "a.ply": no such file', "prior"),
+    ],
+)
+def test_messages_stand_beside_the_field_that_they_concern(message: str, field: str) -> None:
+    from malus.studio.checks import field_of
+
+    assert field_of(message) == field
+    assert f"'{field}', '" in resources.files("malus").joinpath("studio/static/station.js").read_text()
+
+
 # ---- what it writes ----
 
 
@@ -390,6 +431,15 @@ def test_comments_stay_and_only_what_changed_changes(tmp_path: Path) -> None:
     values = StationDocument.read(path).values
     assert values["polarized"]["mask"] == "mask.png"
     assert values["patch"] == [{"name": "1", "box": [1, 2, 3, 9]}, {"name": "2", "box": [5, 5, 6, 6]}]
+
+
+def test_a_new_value_does_not_part_the_next_table_from_its_comment(tmp_path: Path) -> None:
+    from malus.studio.document import StationDocument
+
+    text = '[polarized]\nimages = ["a.png"]\n# as in the notebook\n\n# The cameras.\n[camera]\nimage = "a.png"\n'
+    document = StationDocument(tmp_path / "station.toml", text)
+    document.set("polarized", "mask", "mask.png")
+    assert document.text == text.replace("notebook\n", 'notebook\nmask = "mask.png"\n')
 
 
 def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:

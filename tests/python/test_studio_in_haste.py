@@ -90,6 +90,47 @@ def open_station(page: Any, name: str) -> None:
     page.locator("#plan", has_text="Ready").wait_for()
 
 
+def test_a_change_that_cannot_be_saved_is_not_shown_as_saving(page: Any, station: Path) -> None:
+    station.write_text(STATION.replace('[prior]\ncloud = "dense/cloud.ply"\n', "").replace("[station]", 'prior = { cloud = "dense/cloud.ply" }\n\n[station]'))  # fmt: skip
+    open_station(page, station.name)
+    page.get_by_label("Coarse surface (prior)").select_option("")
+    page.locator("#message", has_text="prior is no table").wait_for()
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert page.get_by_label("Coarse surface (prior)").input_value() == "cloud:dense/cloud.ply"
+
+
+def test_long_names_make_no_part_wider_than_a_phone(page: Any, served: Served, station: Path) -> None:
+    long = "station_Inventarnummer_1893_4711_Fragment_eines_Reliefs_mit_Inschrift_und_Rosette"
+    images = shutil.copytree(served.folder / "pol", served.folder / long)
+    patch = f'\n[[patch]]\nname = "{long}"\nbox = [20, 20, 60, 60]\n'
+    (station.parent / f"{long}.toml").write_text(STATION.replace('"pol"', f'"{long}"') + patch)
+    page.set_viewport_size({"width": 390, "height": 844})
+    open_station(page, f"{long}.toml")
+    for part in ("Station", "Draw", "Options", "Run"):
+        if part == "Draw":
+            draw(page, "patch")
+            page.locator("#draw-side legend", has_text=long).wait_for()
+        else:
+            go(page, part)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390, part
+    shutil.rmtree(images)
+
+
+def test_of_quick_changes_only_the_last_is_checked(page: Any, station: Path) -> None:
+    kept = held(page, "check")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/api/check" in request.url else None)
+    for level in ("60000", "61000", "62000"):
+        page.get_by_label("White level").fill(level)
+        page.get_by_label("White level").press("Tab")
+        page.locator("#plan", has_text="Checking").wait_for()
+        wait_for(page, lambda level=level: page.get_by_label("White level").get_attribute("value") == level)
+    assert len(asked) == 1
+    let_go(page, kept, "check")
+    page.locator("#plan", has_text="Ready").wait_for()
+    assert len(asked) == 2
+
+
 def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -> None:
     kept = held(page, "set")
     place = page.get_by_role("textbox", name="Name of the object")

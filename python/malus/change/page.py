@@ -8,7 +8,7 @@ from typing import Any
 from malus import _core
 from malus.change.regions import Region
 from malus.change.significance import Distances, reduced_maps
-from malus.columns import plain
+from malus.columns import plain, printed
 from malus.exports.exporter import Exporter
 from malus.figures import Figure, Plates
 from malus.lengths import scale_bar, shown
@@ -39,11 +39,12 @@ def _maps(plates: Plates, distances: Distances, regions: list[Region], um: float
             shade=plates.shade("fused"),
             labels=labels,
         ),
-        plates.plain_map(
+        plates.map(
             "limit",
             "Smallest detectable change",
             "A smaller one may be measurement error alone (95 %).",
             plates.small(distances.limit) * um,
+            "viridis",
             "µm",
         ),
     ]
@@ -74,7 +75,8 @@ def write_page(
     height, width = shades[0][box].shape[:2]
     length, bar_label = scale_bar(width * pixel, before.unit)
     page = template(
-        "change.html.j2", {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain}
+        "change.html.j2",
+        {"micrometers": lambda um, digits=2: shown(um, "um", digits), "plain": plain, "printed": printed},
     ).render(
         figures=figures,
         dates=[_date(figures[which]) for which in ("before", "after")],

@@ -143,7 +143,7 @@ def _figures(
 def _identity(exporter: Exporter) -> dict[str, Any]:
     quality = exporter.workspace.quality
     return {
-        "workspace": str(exporter.workspace.folder),
+        "workspace": str(resolved(exporter.workspace.folder)),
         "manifest_sha256": sha256_of(exporter.workspace.folder / "manifest.json"),
         "name": exporter.name,
         "recorded_on": quality.get("object", {}).get("recorded_on") or None,

@@ -20,6 +20,8 @@ _DPI = 150
 #: still have 11 pixels.
 WIDTH_IN = 6.4
 LETTERS_PT = 14.5
+#: Most letters of a name in a picture, half of its width.
+MOST_LETTERS = 24
 #: Inches below a picture for its color bar.
 BAR_IN = 0.66
 
@@ -105,17 +107,22 @@ def style(axes: Any) -> None:
 
 
 def tag(axes: Any, at: Any, word: str) -> None:
-    """Write a name above a point, such as a box's upper left corner or a line's start; left of it if there is no space above.
+    """Write a name above a point, such as a box's upper left corner or a line's start; left of it if there is no space above. A name
+    that would leave the picture at a side is moved into it.
 
     Text between two $ in a user's name is no formula.
     """
     bottom, top = axes.get_ylim()
     above = at[1] - top > 0.1 * (bottom - top)
-    axes.annotate(
+    text = axes.annotate(
         word, at, xytext=(0, 8) if above else (-8, -5), textcoords="offset points", color="white", fontsize=LETTERS_PT,
         ha="left" if above else "right", va="bottom" if above else "top",
         bbox={"boxstyle": "round,pad=0.25", "fc": "#d1495b", "ec": "none"}, parse_math=False,
     )  # fmt: skip
+    pixels_per_point = axes.figure.dpi / 72
+    box, picture = text.get_window_extent().padded(0.3 * LETTERS_PT * pixels_per_point), axes.get_window_extent()
+    inwards = max(picture.x0 - box.x0, 0) + min(picture.x1 - box.x1, 0)
+    text.xyann = (text.xyann[0] + inwards / pixels_per_point, text.xyann[1])
 
 
 def can_be_drawn(name: str) -> bool:
@@ -130,9 +137,12 @@ def can_be_drawn(name: str) -> bool:
 
 
 def names_in_picture(names: Sequence[str]) -> tuple[list[str], str]:
-    """What a picture calls things: their names, or numbers such as (2) for names that `can_be_drawn` refuses; and a sentence for the
-    caption that says which name each number stands for, "" if there is none.
+    """What a picture calls things: their names, or numbers such as (2) for names that `can_be_drawn` refuses or that are too long;
+    and a sentence for the caption that says which name each number stands for, "" if there is none.
     """
-    called = [name if can_be_drawn(name) else f"({number})" for number, name in enumerate(names, 1)]
+    called = [
+        name if len(name) <= MOST_LETTERS and can_be_drawn(name) else f"({number})"
+        for number, name in enumerate(names, 1)
+    ]
     said = ", ".join(f"{one} is {name}" for one, name in zip(called, names, strict=True) if one != name)
     return called, f" {said}." if said else ""

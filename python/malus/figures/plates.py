@@ -136,10 +136,6 @@ class Plates:
             name, title, caption, raster, "RdBu", unit, limits=(-spread, spread), shade=shade, labels=labels
         )
 
-    def plain_map(self, name: str, title: str, caption: str, raster: Raster, unit: str) -> Figure:
-        """Map of positive values at the size of the pictures."""
-        return self.map(name, title, caption, raster, "viridis", unit)
-
     def map(
         self,
         name: str,

@@ -13,6 +13,7 @@ from malus.studio.settings import options_of
 #: Fields of the page, and patterns of the messages that concern them; the first match counts.
 _FIELDS = (
     ("object", r"\[object\]"),
+    ("unit", r"\[station\] unit|\bunit = "),
     ("mask", r"\bmask\b"),
     ("control", r"\[\[control\]\]|control points?"),
     ("angles", r"angle|polarizer|order of the images|direction"),

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT, Table
+from tomlkit.items import AoT, Table, Whitespace
 
 from malus._files import read_regular, reading, write_bytes
 from malus.errors import InputError
@@ -143,4 +143,11 @@ def _assign(table: Table, key: str, value: Any) -> None:
             inline.update(entry)
             item.append(inline)
         item.multiline(True)
+    # What stands behind a blank line at the table's end, such as the comment on the next table, stays at its end.
+    body = table.value.body
+    end = next((at for at in range(len(body), 0, -1) if body[at - 1][0] is not None), 0)
+    blank = next((at for at in range(end, len(body)) if isinstance(body[at][1], Whitespace)), len(body))
+    behind = [] if key in table else body[blank:]
+    del body[len(body) - len(behind) :]
     table[key] = item
+    body.extend(behind)

@@ -186,8 +186,10 @@ class Runs:
             code = process.wait()
             errors.join()
         with self._changed:
-            if run.state == "running":
-                run.state = "done" if code == 0 else "failed"
+            if code == 0:  # also if it was canceled too late
+                run.state = "done"
+            elif run.state == "running":
+                run.state = "failed"
             if run.state == "failed" and not run.error:
                 run.error = f"malus ended with code {code}"
 
@@ -202,5 +204,6 @@ def _read_errors(process: subprocess.Popen[str], run: Run) -> None:
 
 def described(run: Run) -> dict[str, Any]:
     """A run for the page, without its log."""
-    names = ("number", "title", "asked", "state", "fraction", "seconds_left", "step", "message", "steps", "error")
-    return {name: getattr(run, name) for name in names}
+    names = ("number", "title", "asked", "state", "fraction", "seconds_left", "step", "message", "error")
+    # A copy of the steps: the thread that follows the run may add one while the page's answer is written.
+    return {**{name: getattr(run, name) for name in names}, "steps": dict(run.steps)}

@@ -115,7 +115,13 @@ const drawn = (field, title, said, what) => row(field, title, make('output', {},
 const set = (changes) => {
   byId('plan').textContent = 'Saving …';
   asked += 1;  // Discards the answer of an earlier check.
-  return doing(async () => { await change(changes); await draw(); })();
+  return doing(async () => {
+    try {
+      await change(changes);
+    } finally {
+      await draw();  // Also if nothing could be saved: the fields then show again what the file says.
+    }
+  })();
 };
 const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
   change: doing((event) => set([{ table, key, value: kind === 'number' ? numberIn(event.target, true) : event.target.value || null }])) }), help);
@@ -140,7 +146,7 @@ const CATALOG = [['identifier', 'Inventory number'], ['title', 'Title'], ['maker
 
 function objectGroup() {
   return group('The object', text('station', 'Name of the object', 'station', 'name'),
-    choice('scale', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Unit of every length in the files and in the results.'),
+    choice('unit', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Unit of every length in the files and in the results.'),
     make('details', { id: 'catalog' }, make('summary', {}, 'For the catalog (goes into the results)'), ...CATALOG.map(([key, title]) => text('object', title, 'object', key))));
 }
 
@@ -205,13 +211,19 @@ function anglesOf(typed) {
 }
 
 let asked = 0;
+let lastCheck = Promise.resolve();
+// A check reads all images. So only one runs at a time, and after several quick changes only the newest state is checked.
 async function check() {
   const number = ++asked;
   byId('plan').textContent = 'Checking …';
   byId('plan').className = '';
   let said;
   try {
-    said = await ask('check', { path: state.station.path });
+    await lastCheck;
+    if (number !== asked) return;
+    const answer = ask('check', { path: state.station.path });
+    lastCheck = answer.catch(() => {});
+    said = await answer;
   } catch (error) {
     if (number === asked) byId('plan').textContent = 'The station could not be checked.';
     throw error;
