@@ -115,7 +115,7 @@ class PhotosSection(Section):
     guided_matching: bool
     """once photos are matched, search along their epipolar lines for further matches"""
     exhaustive_limit: int
-    """up to this many photos, all pairs are matched; with more photos, mainly those close to each other in the order of their names"""
+    """up to this many photos, all pairs are matched; with more photos, mainly those close to each other in the order of their names, in which the first follows the last"""
     min_inliers: int
     """two photos with fewer consistent matches do not count as a pair"""
     max_error_px: float

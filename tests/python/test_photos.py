@@ -886,6 +886,7 @@ def test_pairs_of_many_photos_are_few() -> None:
     pairs = photo_cameras.pairs_to_match(names, 80)
     assert len(pairs) == len(set(pairs)) < 3000
     assert ("0", "1") in pairs and ("3", "67") in pairs
+    assert ("0", "199") in pairs and ("4", "194") in pairs and ("4", "193") not in pairs
     assert len(photo_cameras.pairs_to_match(names[:20], 80)) == 190
 
 

@@ -53,7 +53,7 @@ struct PhotosOptions {
           "once photos are matched, search along their epipolar lines for further matches");
     visit("exhaustive_limit", self.exhaustive_limit, Range{2, 1e6},
           "up to this many photos, all pairs are matched; with more photos, mainly those close to each other in the "
-          "order of their names");
+          "order of their names, in which the first follows the last");
     visit("min_inliers", self.min_inliers, Range{6, 1e4},
           "two photos with fewer consistent matches do not count as a pair");
     visit("max_error_px", self.max_error_px, Range{0.01, 100},

@@ -241,13 +241,17 @@ def _match(bench: Bench, names: Sequence[str], prefix: str, guided: bool) -> dic
 
 
 def pairs_to_match(names: Sequence[str], exhaustive_limit: int) -> list[tuple[str, str]]:
-    """All pairs of up to `exhaustive_limit` photos; of more photos, pairs at most ten apart in their order and pairs 16, 32, 64, … apart."""
+    """All pairs of up to `exhaustive_limit` photos; of more photos, pairs at most ten apart in their order, in which the first photos follow
+    the last ones, as around an object, and pairs 16, 32, 64, … apart.
+    """
     count = len(names)
     if count <= exhaustive_limit:
-        distances = list(range(1, count))
+        distances = set(range(1, count))
     else:
-        distances = [*range(1, 11), *(2**power for power in range(4, count.bit_length()))]
-    return [(names[i], names[i + d]) for d in distances for i in range(count - d)]
+        near = range(1, min(11, count))
+        # Those `count - d` apart are `d` apart around the ring.
+        distances = {*near, *(count - d for d in near), *(2**power for power in range(4, count.bit_length()))}
+    return [(names[i], names[i + d]) for d in sorted(distances) for i in range(count - d)]
 
 
 def _map(
