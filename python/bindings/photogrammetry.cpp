@@ -143,6 +143,7 @@ py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pi
     if (found != done.lens_sigma.end()) sigmas[py::str(name)] = found->second;
   }
   result["lens_sigma"] = sigmas;
+  result["with_few_matches"] = done.with_few_matches;
   return result;
 }
 

@@ -18,7 +18,7 @@ namespace {
 /// Number of neighbors that a point's plane is fitted to, and passes of the fit, which downweight neighbors off the
 /// plane.
 constexpr int neighbors = 24, plane_passes = 4;
-/// Fewest matches that each image needs for the adjustment.
+/// Fewest matches that place an image; images with fewer keep their keypoints.
 constexpr std::size_t least_matches = 30;
 constexpr double least_keypoint_px = 0.1;
 
@@ -140,10 +140,10 @@ std::size_t reference_of(const Arrays& arrays, std::size_t point, const Eigen::V
   return best;
 }
 
-/// Matches the windows and puts these matches, and the keypoints of unmatched points, into the bundle. Returns false if
-/// there are too few matches.
-bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& options, Bundle& bundle,
-             ModelRefinement& result, const Context& context) {
+/// Matches the windows and puts these matches, the keypoints of unmatched points, and those of images with few matches
+/// into the bundle. Returns false if there are too few matches: of all but one image, or of the preferred one.
+bool measure(const Arrays& arrays, const ColmapModel& model, std::size_t preferred, const PhotosOptions& options,
+             Bundle& bundle, ModelRefinement& result, const Context& context) {
   const std::vector<Eigen::Vector3d> normals = plane_normals(bundle.points);
   const std::vector<std::size_t> chosen = points_to_match(arrays, options.match_points_a_photo);
   std::vector<TiePoint> ties;
@@ -152,10 +152,14 @@ bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& o
     ties.push_back({position, normals[k], reference_of(arrays, k, position, normals[k], preferred)});
   }
   const std::vector<TieObservation> found = match_tie_points(arrays.views, ties, options, context);
-  // A pose determined by keypoints only would not follow the more precise poses of the other images.
   std::vector<std::size_t> of_view(arrays.views.size());
   for (const TieObservation& seen : found) ++of_view[seen.view];
-  if (std::ranges::min(of_view) < least_matches) return false;
+  const auto is_placed = [&](std::size_t view) { return of_view[view] >= least_matches; };
+  for (std::size_t view = 0; view < of_view.size(); ++view) {
+    if (!is_placed(view)) result.with_few_matches.push_back(model.images.at(arrays.image_ids[view]).name);
+  }
+  const bool preferred_is_placed = preferred >= of_view.size() || is_placed(preferred);
+  if (!preferred_is_placed || result.with_few_matches.size() + 2 > of_view.size()) return false;
 
   bundle.observations.clear();
   std::vector<bool> matched(bundle.points.size(), false);
@@ -167,10 +171,11 @@ bool measure(const Arrays& arrays, std::size_t preferred, const PhotosOptions& o
     bundle.observations.push_back({seen.view, point, seen.pixel, defines ? options.match_floor_px : seen.sigma_px});
     if (!defines) sigmas.push_back(seen.sigma_px);
   }
+  // An image with few matches follows the others by the keypoints of all its points.
   for (std::size_t k = 0; k < matched.size(); ++k) {
-    if (matched[k]) continue;
     for (const TieObservation& seen : arrays.keypoints[k]) {
-      bundle.observations.push_back({seen.view, k, seen.pixel, result.keypoint_px});
+      if (!matched[k] || !is_placed(seen.view))
+        bundle.observations.push_back({seen.view, k, seen.pixel, result.keypoint_px});
     }
   }
   result.points = static_cast<std::size_t>(std::count(matched.begin(), matched.end(), true));
@@ -227,7 +232,7 @@ ModelRefinement refine_model(ColmapModel& model, std::map<std::string, Image<flo
     bundle.views.push_back({arrays.lens_of.at(image.camera_id), image.pose});
   }
   bundle.points = positions;
-  if (!measure(arrays, preferred_view, options, bundle, result, context)) return result;
+  if (!measure(arrays, model, preferred_view, options, bundle, result, context)) return result;
   result.adjustment = adjust_bundle(bundle, context);
   result.status = result.adjustment.status;
   for (std::size_t k = 0; k < bundle.lenses.size(); ++k) {

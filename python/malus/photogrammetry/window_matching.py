@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus.photogrammetry import database
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
@@ -30,8 +31,8 @@ def match_windows(
     """Locate the model's points in all images to hundredths of a pixel and adjust lenses, poses and points to them.
 
     Lenses of stations (by image name) are held fixed if they are known, and the photos' lens if it was given. For points that the
-    first placed station sees, the windows are taken from its image. If there are too few matches, the model does not change and a
-    warning is logged. Returns the stations in the adjusted model, and figures for quality.json; None if windows are not to be matched.
+    first placed station sees, the windows are taken from its image. A warning names images with few matches, which follow the others by
+    their features; if that station is among them, the model does not change. Returns the stations in the adjusted model, and figures for quality.json; None if windows are not to be matched.
     """
     options = bench.options.photos
     if not options.match_windows:
@@ -65,6 +66,7 @@ def match_windows(
         figures["lens_sigma"] = [
             {"image": database.unquoted(name), "sigma": sigma} for name, sigma in figures["lens_sigma"].items()
         ]
+        figures["with_few_matches"] = [database.unquoted(name) for name in figures["with_few_matches"]]
         return {"figures": figures}
 
     notes = bench.journal.stage("windows", inputs, ["matched"], run)
@@ -100,14 +102,20 @@ def _warn(bench: Bench, figures: dict[str, Any], stations: Mapping[str, StationV
     if figures["status"] == "too few matches":
         bench.log(
             "warning",
-            "least-squares matching found too few windows in one of the images; the cameras are as COLMAP left them, and "
-            "the station may be turned about the object by some hundredths of a degree",
+            "least-squares matching found too few windows in the station's image, or in all images but one; the cameras are as COLMAP "
+            "left them, and the station may be turned about the object by some hundredths of a degree",
         )
     elif figures["status"] != "converged":
         bench.log(
             "warning",
             "the cameras' places were still changing when their adjustment to the matched windows ended: the station may be turned "
             "about the object by some hundredths of a degree",
+        )
+    if figures["status"] != "too few matches" and figures["with_few_matches"]:
+        bench.log(
+            "warning",
+            f"least-squares matching found too few windows in {listed(figures['with_few_matches'])}: placed by features alone, so that "
+            "they may be turned about the object by some hundredths of a degree",
         )
     for lens in figures["lens_sigma"]:
         if lens["image"] in stations:

@@ -230,6 +230,17 @@ TEST(Refinement, MatchesWindowsToHundredthsOfAPixel) {
   EXPECT_LT(errors[errors.size() * 95 / 100], 0.25);
 }
 
+TEST(Refinement, FollowsByKeypointsWhereAnImageHasNoMatches) {
+  Scene scene = seven_photos();
+  scene.pictures.at("photo_3").fill(0.4F);
+  const double before = station_turn(scene.model, scene.truth);
+  const ModelRefinement done = refine_model(scene.model, scene.pictures, "station.png", {}, {}, {});
+  EXPECT_EQ(done.status, AdjustmentStatus::converged);
+  EXPECT_EQ(done.with_few_matches, std::vector<std::string>{"photo_3"});
+  EXPECT_LT(station_turn(scene.model, scene.truth), before / 3);
+  EXPECT_LT(turn(scene.model.images.at(4).pose, scene.truth.images.at(4).pose), 2e-3);
+}
+
 TEST(Refinement, LeavesTheModelWhenNothingMatches) {
   ColmapModel model = seven_photos().model;
   auto pictures = seven_photos().pictures;
