@@ -121,10 +121,10 @@ def test_of_quick_changes_only_the_last_is_checked(page: Any, station: Path) -> 
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url) if "/api/check" in request.url else None)
     for level in ("60000", "61000", "62000"):
+        page.evaluate("document.getElementById('plan').textContent = ''")  # until the check of this change
         page.get_by_label("White level").fill(level)
         page.get_by_label("White level").press("Tab")
         page.locator("#plan", has_text="Checking").wait_for()
-        wait_for(page, lambda level=level: page.get_by_label("White level").get_attribute("value") == level)
     assert len(asked) == 1
     let_go(page, kept, "check")
     page.locator("#plan", has_text="Ready").wait_for()
