@@ -124,7 +124,7 @@ def _require_possible_records(path: Path) -> None:
     if count * record > path.stat().st_size:
         raise ValueError(f"its header counts {count} records, more than the file has room for")
     points = int.from_bytes(header[107:111], "little")
-    if len(header) >= 255 and header[25] >= 4:
+    if header[25] >= 4:  # also if the file ends within the count: laspy takes what there is of it
         points = max(points, int.from_bytes(header[247:255], "little"))
     length = max(int.from_bytes(header[105:107], "little"), 1)
     least = _LEAST_COMPRESSED * length if header[104] & 0x80 else length

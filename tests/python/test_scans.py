@@ -329,6 +329,18 @@ def test_las_headers_that_count_more_than_the_file_holds_are_refused(
             read_scan(tmp_path / "damaged.las", "mm")
 
 
+def test_a_las_file_that_ends_within_its_count_takes_no_memory(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    write_las(tmp_path / "cloud.las", *cloud)
+    header = bytearray((tmp_path / "cloud.las").read_bytes()[:250])
+    header[100:111] = bytes(5) + (10_000).to_bytes(2, "little") + bytes(4)
+    header[247:250] = b"\xff\xff\xff"
+    (tmp_path / "cut.las").write_bytes(header)
+    with pytest.raises(malus.InputError, match="counts 16777215 points, more than the file has room for"):
+        read_scan(tmp_path / "cut.las", "mm")
+
+
 def test_an_extended_record_of_las_takes_no_memory(tmp_path: Path) -> None:
     """It may state any length, for which the reader allocated memory before it read the file."""
     laspy = pytest.importorskip("laspy")
