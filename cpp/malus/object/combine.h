@@ -61,8 +61,9 @@ struct CombinedViews {
 /// variances stated for single places are not used: they exaggerate the advantage of the frontal view (decision 90).
 /// The standard deviation of a mean is the mean of those stated, not smaller: stations share a prior, so their errors
 /// do not average out. A point is dropped if another station sees the surface behind it, or sees the place better. A
-/// station is not averaged into the detail of one with smaller pixels, nor does its weight count against it. `cloud`:
-/// stereo's points; they support places that one station alone sees at a flat angle and that could be rims.
+/// station with larger pixels than another does not replace its points, and is averaged with them only in what its
+/// pixels resolve. `cloud`: stereo's points; they support places that one station alone sees at a flat angle and that
+/// could be rims.
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context);
 
 /// Points of the object's surface, from which any mesher can make a mesh: means over the stations, without those beside

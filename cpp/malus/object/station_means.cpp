@@ -7,7 +7,9 @@
 
 #include "malus/core/parallel_internal.h"
 #include "malus/core/square_internal.h"
+#include "malus/object/coarser_views_internal.h"
 #include "malus/object/oriented_points_internal.h"
+#include "malus/object/place_comparison_internal.h"
 #include "malus/object/station_means_internal.h"
 #include "malus/object/view_lookup_internal.h"
 
@@ -18,20 +20,6 @@ namespace {
 constexpr double least_cosine_alone = 0.5;
 /// A station's point is dropped if another station has a weight there that is larger by more than this factor.
 constexpr double surer = 1.5;
-
-/// The surface of a view in one of its pixels.
-struct Place {
-  std::size_t pixel;
-  Eigen::Vector3d point, normal;
-  double sigma, cosine;
-};
-
-/// Another view, and what is the same in the comparison with it at all places.
-struct OtherView {
-  const ObjectView* view;
-  double inverse_variance;  ///< of its usual sigma
-  double farthest;          ///< surfaces farther apart are not the same
-};
 
 /// Distance of another view's surface from a place, and its standard deviation.
 struct Distance {
@@ -51,23 +39,29 @@ class PlaceMean {
 
   /// The distance of the other's surface if it counts for the agreement.
   std::optional<Distance> add(const OtherView& other) {
-    const auto at = meet(*other.view, place_.point);
-    if (!at) return {};
-    const double parallel = at->normal.dot(place_.normal);
-    const double apart = at->off(place_.point) / std::max(parallel, least_facing);
-    const bool same = parallel > least_facing && facing(*other.view, place_.point, place_.normal) > least_cosine;
-    const bool near = same && std::abs(apart) < other.farthest;
+    const auto there = compared(place_, other);
+    if (!there) return {};
+    const Meeting& at = there->at;
     // Another station may only exclude a point that it sees at a better angle.
-    if (!near && at->weight > place_.cosine && in_front(*other.view, *at, most_ratio)) contradicted_ = true;
-    if (near) {
+    if (!there->near && at.weight > place_.cosine && in_front(*other.view, at, most_ratio)) contradicted_ = true;
+    if (there->near) {
       ++stations_;
-      if (!is_finer(view_, place_.cosine, *other.view, at->weight)) average(*at, apart, other.inverse_variance);
+      if (!is_finer(view_, place_.cosine, *other.view, at.weight)) average(*there, there->weight(other));
     }
-    const double spread = std::hypot(place_.sigma, at->sigma);
-    if (!same || !(std::abs(apart) < 3 * most_ratio * spread)) return {};
-    squares_ += square(apart / spread);
+    const double spread = std::hypot(place_.sigma, at.sigma);
+    if (!there->same || !(std::abs(there->apart) < 3 * most_ratio * spread)) return {};
+    squares_ += square(there->apart / spread);
     ++compared_;
-    return Distance{apart, spread};
+    return Distance{there->apart, spread};
+  }
+
+  /// Moves and turns the place with the surface about it, as far as views with larger pixels ask for it.
+  void add(const CoarserViews& coarser) {
+    const double weight = coarser.weight[place_.pixel];
+    total_ += weight;
+    moved_ += coarser.move[place_.pixel];
+    const Eigen::Map<const Eigen::Vector3f> turn(&coarser.turn[3 * place_.pixel]);
+    normal_ += weight * place_.normal + turn.cast<double>();
   }
 
   float ratio() const {
@@ -86,10 +80,10 @@ class PlaceMean {
   }
 
  private:
-  void average(const Meeting& at, double apart, double inverse_variance) {
-    const double weight = at.weight * inverse_variance;
+  void average(const PlaceComparison& there, double weight) {
+    const Meeting& at = there.at;
     total_ += weight;
-    moved_ += weight * apart;
+    moved_ += weight * there.apart;
     cosines_ += at.weight;
     stated_ += at.weight / square(at.sigma);
     normal_ += weight * at.normal;
@@ -107,32 +101,6 @@ class PlaceMean {
   int compared_ = 0;
 };
 
-std::vector<OtherView> others_of(std::span<const ObjectView> views, std::size_t which) {
-  const ObjectView& view = views[which];
-  std::vector<OtherView> others;
-  for (std::size_t k = 0; k < views.size(); ++k) {
-    if (k == which) continue;
-    const ObjectView& other = views[k];
-    // What the other cannot resolve may lie as far from its surface as from that of a view with its pixels.
-    const double pixels = 2 * (resolves_more(view, other) ? other.gsd : view.gsd);
-    const double usual = most_ratio * std::hypot(view.usual_sigma, other.usual_sigma);
-    others.push_back({&other, 1 / square(other.usual_sigma), std::max(usual, pixels)});
-  }
-  return others;
-}
-
-/// The usable pixels of a view with numbers [begin, end).
-std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::size_t end) {
-  const std::size_t width = static_cast<std::size_t>(view.camera.size.width);
-  std::vector<Place> places;
-  for (std::size_t i = begin; i < end; ++i) {
-    if (view.usable[i] == 0) continue;
-    const int u = static_cast<int>(i % width), v = static_cast<int>(i / width);
-    places.push_back({i, point_at(view, u, v), normal_at(view, u, v), view.sigma[i], view.cosine[i]});
-  }
-  return places;
-}
-
 /// Single distances are kept at pixels with numbers that are multiples of this: there may be one of each other view.
 std::size_t distance_step(const ObjectView& view, std::size_t others) {
   std::size_t usable = 0;
@@ -145,13 +113,14 @@ struct MeansOfBlock {
   OrientedPoints believed, doubtful;
   std::vector<Distance> distances;
 
-  void add(const ObjectView& view, const Place& place, const std::vector<OtherView>& others, bool with_distances,
-           float& ratio) {
+  void add(const ObjectView& view, const Place& place, const std::vector<OtherView>& others,
+           const CoarserViews& coarser, bool with_distances, float& ratio) {
     PlaceMean mean(view, place);
     for (const OtherView& other : others) {
       const auto distance = mean.add(other);
       if (distance && with_distances) distances.push_back(*distance);
     }
+    if (!coarser.empty()) mean.add(coarser);
     ratio = mean.ratio();
     if (mean.is_kept()) mean.append_to(mean.is_believed() ? believed : doubtful);
   }
@@ -168,6 +137,7 @@ OrientedPoints joined_with_scale(std::vector<OrientedPoints> parts, double scale
 StationMeans station_means(std::span<const ObjectView> views, std::size_t which, double scale, const Context& context) {
   const ObjectView& view = views[which];
   const std::vector<OtherView> others = others_of(views, which);
+  const CoarserViews coarser = coarser_views(view, others, context);
   const std::size_t pixels = view.camera.size.area(), every = distance_step(view, others.size());
   StationMeans means;
   means.agreement.view = view.name;
@@ -181,7 +151,7 @@ StationMeans station_means(std::span<const ObjectView> views, std::size_t which,
     std::erase_if(near, [&](const OtherView& other) { return !may_see(*other.view, box); });
     MeansOfBlock& block = blocks[begin / points_in_a_block];
     for (const Place& place : places) {
-      block.add(view, place, near, place.pixel % every == 0, means.agreement.ratio[place.pixel]);
+      block.add(view, place, near, coarser, place.pixel % every == 0, means.agreement.ratio[place.pixel]);
     }
   });
   std::vector<OrientedPoints> believed, doubtful;

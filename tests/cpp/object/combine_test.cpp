@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <random>
 #include <vector>
 
@@ -186,18 +187,59 @@ TEST(Combine, IsTheSameWithAnyNumberOfThreads) {
   EXPECT_GT(std::ranges::count(one.stations, 0), 100) << "nobody sees the sphere from below";
 }
 
-TEST(Combine, AFarStationDoesNotBlurANearOne) {
-  const std::vector<Station> stations{plane_station("far", 1, 0, 0, 0.3), plane_station("right", 1, 3.4, 1.7, 0.3),
-                                      plane_station("left", 1, -3.3, 0, 0.3), plane_station("near", 0.25, 0, 0, 0.075)};
-  const std::vector<ObjectView> all = views_of(stations);
-  const OrientedPoints points = combine(all, {}, {}).points;
-  const OrientedPoints alone = combine(std::span(all).last(1), {}, {}).points;
-  ASSERT_EQ(points.scale.size(), points.size());
+/// Three stations that see the plane z = 0, and a near one with four times smaller pixels that has it at a height.
+std::vector<Station> near_and_far(double height) {
+  std::vector<Station> stations{plane_station("far", 1, 0, 0, 0.3), plane_station("right", 1, 3.4, 1.7, 0.3),
+                                plane_station("left", 1, -3.3, 0, 0.3), plane_station("near", 0.25, 0, 0, 0.3)};
+  for (float& depth : stations.back().surface.depth) depth -= static_cast<float>(height);
+  return stations;
+}
+
+/// The points that the near one of these stations measured.
+OrientedPoints near_points(const std::vector<Station>& stations) {
+  OrientedPoints points = combine(views_of(stations), {}, {}).points;
   std::vector<std::uint8_t> fine;
   for (const float scale : points.scale) fine.push_back(scale < 1);
-  const OrientedPoints own = selected(points, fine);
-  EXPECT_EQ(own.points, alone.points);
-  EXPECT_GT(std::ranges::count_if(own.stations, [](int seen) { return seen > 1; }), std::ssize(own.points) * 95 / 100);
+  return selected(points, fine);
+}
+
+TEST(Combine, AFarStationDoesNotBlurANearOne) {
+  // Waves of six of its pixels: less than two of the far stations'.
+  constexpr double amplitude = 0.05, turn = std::numbers::pi / 3;
+  std::vector<Station> stations = near_and_far(0);
+  Image<float>& depth = stations.back().surface.depth;
+  for_each_pixel(depth.size(),
+                 [&](int u, int v) { depth(u, v) += static_cast<float>(amplitude * std::sin(turn * u)); });
+  const OrientedPoints points = near_points(stations);
+  double square_sum = 0;
+  for (const Eigen::Vector3d& point : points.points) square_sum += point.z() * point.z();
+  EXPECT_NEAR(std::sqrt(2 * square_sum / static_cast<double>(points.size())), amplitude, 0.03 * amplitude);
+  EXPECT_GT(std::ranges::count_if(points.stations, [](int seen) { return seen > 1; }),
+            std::ssize(points.points) * 95 / 100);
+}
+
+TEST(Combine, FarStationsSayWhereANearOneLies) {
+  constexpr double height = 0.2;
+  const OrientedPoints points = near_points(near_and_far(height));
+  ASSERT_GT(points.size(), 1000U);
+  // All four are equally sure, and most places are seen by all.
+  std::vector<double> heights;
+  for (const Eigen::Vector3d& point : points.points) heights.push_back(point.z());
+  EXPECT_NEAR(percentile_in_place(heights, 0.5), height / 4, 0.02 * height);
+}
+
+TEST(Combine, FarStationsTurnANearOne) {
+  constexpr double slope = 0.05;
+  std::vector<Station> stations = near_and_far(0);
+  Station& near = stations.back();
+  for_each_pixel(near.maps.usable, [&](int u, int v) {
+    near.surface.depth(u, v) += static_cast<float>(slope * 0.25 * (u - 31.5));
+    Eigen::Map<Eigen::Vector3f>(&near.maps.normals(u, v)) =
+        Eigen::Vector3f(static_cast<float>(slope), 0, 1).normalized();
+  });
+  std::vector<double> slopes;
+  for (const Eigen::Vector3f& normal : near_points(stations).normals) slopes.push_back(normal.x() / normal.z());
+  EXPECT_NEAR(percentile_in_place(slopes, 0.5), slope / 4, 0.02 * slope);
 }
 
 TEST(PointChoice, PointsOfFarStationsGoWhereANearOneSeesTheSameSurface) {

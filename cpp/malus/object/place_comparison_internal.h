@@ -1,0 +1,46 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "malus/object/view.h"
+#include "malus/object/view_lookup_internal.h"
+
+namespace malus {
+
+/// The surface of a view in one of its pixels.
+struct Place {
+  std::size_t pixel;
+  Eigen::Vector3d point, normal;
+  double sigma, cosine;
+};
+
+/// The usable pixels of a view with numbers [begin, end).
+std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::size_t end);
+
+/// Another view, and what is the same in the comparison with it at all places.
+struct OtherView {
+  const ObjectView* view;
+  double inverse_variance;  ///< of its usual sigma
+  double farthest;          ///< surfaces farther apart are not the same
+};
+
+/// All views but number `which`.
+std::vector<OtherView> others_of(std::span<const ObjectView> views, std::size_t which);
+
+/// Another view's surface where it shows a place.
+struct PlaceComparison {
+  Meeting at;
+  double apart;  ///< signed distance from the place to the other surface, along the place's normal
+  bool same;     ///< whether both surfaces face the same way, and the other view could see the place
+  bool near;     ///< whether they are the same surface
+
+  double weight(const OtherView& other) const { return at.weight * other.inverse_variance; }
+};
+
+std::optional<PlaceComparison> compared(const Place& place, const OtherView& other);
+
+}  // namespace malus
