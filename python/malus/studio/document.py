@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -33,8 +34,10 @@ class TomlDocument:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         try:
+            # First by the standard library: tomlkit reads files in which a table stands twice, and fails when they are changed.
+            tomllib.loads(text)
             self._document = tomlkit.parse(text)
-        except TOMLKitError as error:
+        except (ValueError, TOMLKitError, RecursionError) as error:
             raise InputError(f"{path}: not valid TOML ({error})") from None
 
     @classmethod
