@@ -162,6 +162,8 @@ def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
     error = malus.batch.failure(outcomes)
     assert "1 of 4 stations failed, 2 are not run yet; the others are done\n  a: no light" in str(error)
     assert "1 of 2 stations failed; the others are done" in str(malus.batch.failure(outcomes[:2]))
+    assert str(malus.batch.failure(outcomes[1:2])).startswith("1 of 1 stations failed\n")
+    assert str(malus.batch.failure(outcomes[1:])).startswith("1 of 3 stations failed, 2 are not run yet\n")
 
 
 def test_a_station_is_done_only_while_its_inputs_and_results_are_unchanged(
