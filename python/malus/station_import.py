@@ -267,7 +267,7 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     names = [name.strip() for name in rows[0][1]]
     known = Counter(name.lower() for name in names if name)
     if twice := [name for name in names if known[name.lower()] > 1]:
-        raise InputError(f"{table}: {len(twice)} columns are named {twice[0]!r}, expected each name once")
+        raise InputError(f"{table}: {known[twice[0].lower()]} columns are named {twice[0]!r}, expected each name once")
     result = []
     for line, row in rows[1:]:
         cells = [cell.strip() for cell in row]
