@@ -762,6 +762,19 @@ def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkey
     assert caught.value.__notes__ == ["warning before it: o1: is not in the surface: pol_030.tif: is no image"]
 
 
+def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It looked like the result of the run that failed."""
+    folder = pair.parent / "out/object"
+    (folder / "report").mkdir(parents=True)
+    for name in ("quality.json", "mesh.ply", "mesh.glb", "report/index.html"):
+        (folder / name).write_text("earlier")
+    outcomes = [{"station": "o0", "status": "failed", "reason": "pol_030.tif: is no image", "exit_code": 2}]
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    with pytest.raises(InputError, match="1 of 1 stations failed"):
+        run_object(Object.load(pair), pair.parent / "out")
+    assert [path.name for path in folder.iterdir()] == ["lock"]
+
+
 def require_gone(pair: Path, output: Path) -> None:
     """Takes o1 out of the object file, and runs it again: nothing of the object tells of it any more."""
     outcome = malus_here("object", edit(pair, ', "o1/station.toml"', ""), "-o", output, "--threads", "1")

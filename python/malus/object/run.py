@@ -61,8 +61,9 @@ def run_object(
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct; an error in making the surface
-    leaves none, nor an earlier one, and has as notes what was warned of before it.
+    outcomes of the stations. Raises DataError if there is no station, the first station's error if none is done, and the errors of
+    malus.reconstruct; if no station is done, or an error ends the making of the surface, there is none, nor an earlier one. The error has
+    as notes what was warned of before it.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
@@ -77,10 +78,13 @@ def run_object(
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     found = [] if frame is None else frame.warnings
+    folder = Path(output) / "object"
     if not done:
+        if folder.exists():
+            with exclusive(folder):
+                _clear(folder)
         raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
-    folder = Path(output) / "object"
     key = _key(thing, outcomes, frame)
     # If two shards end at once, one makes the surface and the other gets an InputError.
     with exclusive(folder):
