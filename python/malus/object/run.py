@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from malus import _core, batch
-from malus._files import read_record, sha256_of, write_record
+from malus._files import read_record, sha256_of, with_relative_paths, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
 from malus.object import agreement, meshing, page, texture
@@ -202,7 +202,8 @@ def _fuse(
         files += write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
-        stations = station_figures(outcomes, views, agreements, coverage, gsd)
+        shown = _for_others(outcomes, thing.folder)
+        stations = station_figures(shown, views, agreements, coverage, gsd)
         found = [] if frame is None else frame.warnings
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
@@ -210,7 +211,7 @@ def _fuse(
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": warnings_of(outcomes, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
+            "warnings": warnings_of(shown, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
@@ -220,6 +221,11 @@ def _fuse(
         _require_unchanged(thing, outcomes, frame, folder, key)
     # After the temporary folder is gone: a run that finds the record removes nothing.
     write_record(folder / "quality.json", quality)
+
+
+def _for_others(outcomes: Sequence[Outcome], folder: Path) -> list[Outcome]:
+    """The outcomes for files that are given away: reasons name files relative to the object's folder, not by their place on this computer."""
+    return [outcome | {"reason": with_relative_paths(outcome["reason"], folder)} for outcome in outcomes]
 
 
 def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:
