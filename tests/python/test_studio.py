@@ -1155,6 +1155,7 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     angles = [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)]
     assert angles == ["0", "30", "150"]
+    assert page.get_by_label("Pixel values are").input_value() == "linear"  # These are TIFFs.
     require_accessible(page)
     pictured(page, "images")
     page.get_by_role("button", name="Create the station").click()
