@@ -79,6 +79,13 @@ def relative_path(path: Path, file: Path) -> str:
     return Path(os.path.relpath(resolved(path), resolved(file).parent)).as_posix()
 
 
+def with_relative_paths(text: str, folder: Path) -> str:
+    """The text with paths relative to a folder where they lie in it or in a folder above it, as files that are given away name them."""
+    for ups, above in enumerate([folder, *folder.parents][:-1]):
+        text = re.sub(rf"(?<![^\s('\"=]){re.escape(str(above))}/", "../" * ups, text)
+    return text
+
+
 def open_regular(path: Path) -> BufferedReader:
     """Open a user's file for reading; OSError unless it is a regular file. A pipe could block forever, and a device may have no end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

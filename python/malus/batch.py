@@ -167,7 +167,8 @@ def failure(outcomes: Sequence[Outcome]) -> MalusError | None:
         return None
     pending = sum(outcome["status"] == "pending" for outcome in outcomes)  # of other shards
     waiting = f", {pending} {'is' if pending == 1 else 'are'} not run yet" if pending else ""
-    lines = [f"{len(failed)} of {len(outcomes)} stations failed{waiting}; the others are done"]
+    others = "; the others are done" if len(outcomes) > len(failed) + pending else ""
+    lines = [f"{len(failed)} of {len(outcomes)} stations failed{waiting}{others}"]
     lines += [f"  {outcome['station']}: {outcome['reason']}" for outcome in failed]
     return error_of(failed[0]["exit_code"])("\n".join(lines))
 

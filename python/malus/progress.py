@@ -16,6 +16,8 @@ from rich.text import Text
 
 #: Seconds of work after which the measured speed has the same weight as the expected speed.
 _TRUST_SECONDS = 5.0
+#: Steps whose every message says how a station has ended.
+_OF_STATIONS = ("batch", "stations")
 
 
 class Overall:
@@ -190,7 +192,8 @@ class BarProgress(ProgressView):
         """Advance the bar of the step and the bar of the whole run."""
         self._overall.update(step, fraction)
         if not self._console.is_terminal:
-            if fraction >= 1:
+            # A log names each station that has ended, as the bar does one after the other.
+            if fraction >= 1 or (step in _OF_STATIONS and message):
                 self._print(Text(f"{100 * self._overall.fraction:3.0f} %  {step:<13} {message or 'done'}"))
             return
         for name in ("everything", step):

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -247,7 +248,7 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")
-    lines = text.splitlines()
+    lines = re.split(r"\r\n?|\n", text.rstrip("\r\n"))  # splitlines also splits at signs that may stand in names
     first = next((index for index, line in enumerate(lines) if line.strip()), None)
     if first is None:
         raise InputError(f"{table}: empty, expected column names in the first line")
@@ -264,6 +265,9 @@ def _rows_of(table: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     if not rows:
         raise InputError(f"{table}: empty, expected column names in the first line")
     names = [name.strip() for name in rows[0][1]]
+    known = Counter(name.lower() for name in names if name)
+    if twice := [name for name in names if known[name.lower()] > 1]:
+        raise InputError(f"{table}: {known[twice[0].lower()]} columns are named {twice[0]!r}, expected each name once")
     result = []
     for line, row in rows[1:]:
         cells = [cell.strip() for cell in row]

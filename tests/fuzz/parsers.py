@@ -9,12 +9,14 @@ after the other, each in a process forked from this one: to import and instrumen
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import atheris
 
@@ -52,11 +54,33 @@ def _uncompressed(data: bytes) -> bytes:
 
 
 def _edited(document: StationDocument) -> str:
-    """A station file as Studio's page changes it."""
-    document.set("camera", "params", [1.0, 2.0])
-    document.set_list("scale", [{"distance": 2.0}, {"check": True}])
-    assert document.values is not None
+    """A station file as Studio's page changes it: what was set is in its text, and all else is as before."""
+    expected = document.values
+
+    def change(table: str, key: str, value: object) -> None:
+        document.set(table, key, value)
+        content = {**expected.get(table, {}), key: value}
+        expected[table] = {name: entry for name, entry in content.items() if entry is not None}
+
+    def change_list(name: str, entries: list[dict[str, object]]) -> None:
+        document.set_list(name, entries)
+        expected[name] = entries
+
+    change("camera", "params", [1.0, 2.0])
+    change_list("scale", [{"distance": 2.0}, {"check": True}])
+    change_list("scale", [{"distance": 2.0}])
+    change("photos", "folder", "photos")
+    for table in ("camera", "photos"):
+        change(table, "params", None)
+    change_list("scale", [])
+    kept = {name: entry for name, entry in expected.items() if entry or name not in ("camera", "photos", "scale")}
+    found = StationDocument(document.path, document.text).values
+    assert _sorted(found) == _sorted(kept), f"{_sorted(found)}, expected {_sorted(kept)}"
     return document.text
+
+
+def _sorted(values: dict[str, Any]) -> str:
+    return json.dumps(values, sort_keys=True, default=repr)
 
 
 #: Target → reader.

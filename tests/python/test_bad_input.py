@@ -107,6 +107,15 @@ def test_byte_order_marks_are_accepted_in_every_file(small_station: Path) -> Non
     assert settings.options_of(small_station).to_dict()["refine"]["iterations"] == 3
 
 
+def test_studio_refuses_files_in_which_a_table_stands_twice(tmp_path: Path) -> None:
+    """tomlkit reads this one, and failed when it was changed."""
+    from malus.studio.document import StationDocument
+
+    text = "[camera.a.b.c]\n[camera.x]\n[camera.a.d]\n[other]\n[camera.a.b.c]\n"
+    with pytest.raises(InputError, match=r"station\.toml: not valid TOML .*camera.* twice"):
+        StationDocument(tmp_path / "station.toml", text).set("camera", "params", [1.0])
+
+
 @pytest.mark.parametrize("name", ["a\\nv 1 2 3", "a\\rb", "\\u001b[31mred", "a\\u0001", "a\\u007f"])
 def test_names_are_one_line_without_control_characters(small_station: Path, work: Path, name: str) -> None:
     """A second line of a name became a vertex of OBJ files, which shifted all triangles. XML cannot hold control characters."""

@@ -66,7 +66,9 @@ def three(tiny_station_source: Path, tmp_path_factory: pytest.TempPathFactory) -
     outcome = run_malus("batch", file, "-o", output, "--jobs", "2", "--threads", "1")
     assert outcome.code == 2, outcome.err
     assert "1 of 3 stations failed" in outcome.err
-    assert outcome.err.startswith("100 %  batch ")
+    # A log names every station, not only the one that ended last.
+    for said in ("o00: done", "o01: failed", "o02: done"):
+        assert f" %  batch         {said}\n" in outcome.err
     assert outcome.out.splitlines() == [
         "museum: 2 of 3 stations done; confidence: 2 partial",
         f"  page: {output / 'index.html'}",
@@ -162,6 +164,8 @@ def test_a_shard_that_fails_does_not_call_the_others_done() -> None:
     error = malus.batch.failure(outcomes)
     assert "1 of 4 stations failed, 2 are not run yet; the others are done\n  a: no light" in str(error)
     assert "1 of 2 stations failed; the others are done" in str(malus.batch.failure(outcomes[:2]))
+    assert str(malus.batch.failure(outcomes[1:2])).startswith("1 of 1 stations failed\n")
+    assert str(malus.batch.failure(outcomes[1:])).startswith("1 of 3 stations failed, 2 are not run yet\n")
 
 
 def test_a_station_is_done_only_while_its_inputs_and_results_are_unchanged(

@@ -328,6 +328,18 @@ def test_the_program_starts_without_importing_matplotlib() -> None:
     assert outcome.out.strip() == "False", outcome.err
 
 
+@pytest.mark.parametrize("step", ["batch", "stations"])
+def test_a_log_names_every_station_that_has_ended(capsys: pytest.CaptureFixture[str], step: str) -> None:
+    with BarProgress() as view:
+        view.expect([(step, 1.0)])
+        view.progress(step, 0.0, "")
+        for count, said in enumerate(("bust: done", "coin: failed", "vase: done"), start=1):
+            view.progress(step, count / 3, said)
+    assert [line.split(step)[1].strip() for line in capsys.readouterr().err.splitlines()] == [
+        "bust: done", "coin: failed", "vase: done"
+    ]  # fmt: skip
+
+
 def test_words_in_brackets_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     """Names of station tables in brackets were once taken for colors and lost, and lines were broken after 80 characters."""
     view = BarProgress()

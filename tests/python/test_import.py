@@ -305,6 +305,11 @@ def test_unit_and_frame_of_a_metashape_project(
         ({"a_1.png": None, "t.csv": "file,angle\nb.png,3\n"}, [], "t.csv, line 2: no file 'b.png'"),
         ({"a_1.png": None, "t.csv": "file,angle\na_1.png,x\n"}, [], "t.csv, line 2: angle is 'x', expected a number"),
         ({"a_1.png": None, "t.csv": 'file,angle,note\na_1.png,x,"two\nlines"\n'}, [], "t.csv, line 3: angle is 'x'"),
+        (
+            {"a_1.png": None, "t.csv": "file,angle,Angle\na_1.png,3,4\n"},
+            [],
+            "t.csv: 2 columns are named 'angle', expected each name once",
+        ),
         ({"a_1.png": None, "t.csv": "file,degrees\na_1.png,3\n"}, [], "no column 'angle_deg'"),
         ({"a_1.png": None, "a_1.json": "{"}, [], "a_1.json: cannot be read as JSON"),
         ({"a_1.png": None, "a.json": '{"filename": "c.png", "angle": 3}'}, [], "no such file beside it"),

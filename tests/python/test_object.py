@@ -27,7 +27,7 @@ from PIL import Image
 from conftest import EXAMPLE, Outcome, demo_with_photos, edit, half_written, malus_here, needs_distributed, write_pair
 from conftest import malus as run_malus
 from malus import Camera, DataError, ExternalError, InputError, Options, Progress, Station, reconstruct
-from malus._files import write_record
+from malus._files import with_relative_paths, write_record
 from malus.object import (
     Object,
     OrientedPoints,
@@ -739,10 +739,12 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     assert outcome.code == 2
     assert "o1" in outcome.err and "pol_030.tif" in outcome.err and "Traceback" not in outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
-    assert quality["warnings"][-1].startswith("o1: is not in the surface: ")
+    assert quality["warnings"][-1].startswith("o1: is not in the surface: polarized image o1/pol/")
+    assert str(pair.parent) in outcome.err and str(pair.parent) not in json.dumps(quality["stations"])
     assert [row["status"] for row in quality["stations"]] == ["done", "failed"]
     assert (output / "object/mesh.ply").is_file()
     page = (output / "object/report/index.html").read_text()
+    assert str(pair.parent) not in page
     assert 'id="o1"' in page and "One surface of 1 station " in page and "No two stations see the same place." in page
     require_gone(pair, output)
 
@@ -760,6 +762,31 @@ def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkey
     with pytest.raises(DataError) as caught:
         run_object(Object.load(pair), pair.parent / "out")
     assert caught.value.__notes__ == ["warning before it: o1: is not in the surface: pol_030.tif: is no image"]
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("/home/anna/bust/st1/station.toml: x", "st1/station.toml: x"),
+        ("no '/home/anna/views/a b.jpg'", "no '../views/a b.jpg'"),
+        ("/mnt/home/anna/bust/x and /home/ben/y", "/mnt/home/anna/bust/x and ../../ben/y"),
+    ],
+)
+def test_reasons_name_files_as_the_object_file_would(text: str, shown: str) -> None:
+    assert with_relative_paths(text, Path("/home/anna/bust")) == shown
+
+
+def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It looked like the result of the run that failed."""
+    folder = pair.parent / "out/object"
+    (folder / "report").mkdir(parents=True)
+    for name in ("quality.json", "mesh.ply", "mesh.glb", "report/index.html"):
+        (folder / name).write_text("earlier")
+    outcomes = [{"station": "o0", "status": "failed", "reason": "pol_030.tif: is no image", "exit_code": 2}]
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    with pytest.raises(InputError, match="1 of 1 stations failed"):
+        run_object(Object.load(pair), pair.parent / "out")
+    assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
 def require_gone(pair: Path, output: Path) -> None:
@@ -1027,9 +1054,7 @@ def test_a_turntable_has_photos(pair: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed")
-@pytest.mark.parametrize(
-    ("found", "said"), [(None, "no point is marked"), ({}, "2 of 2 stations failed; the others are done")]
-)
+@pytest.mark.parametrize(("found", "said"), [(None, "no point is marked"), ({}, "2 of 2 stations failed\n")])
 def test_an_error_of_the_search_for_cameras_has_the_warnings_before_it(
     turning: Path, monkeypatch: pytest.MonkeyPatch, found: dict[str, StationCameras] | None, said: str
 ) -> None:

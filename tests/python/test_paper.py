@@ -208,20 +208,21 @@ def test_objects_without_patches_and_profiles_are_in_the_tables(paper_work: Path
         assert f"| bust \\| head | {said} |" in table.markdown()
 
 
-def test_campaign_keeps_names_that_look_like_numbers(paper_work: Path, tmp_path: Path) -> None:
-    """A catalog number must not be rounded like a figure."""
+@pytest.mark.parametrize("said", ["19470", "a\u2028b"], ids=["number", "line separator"])
+def test_campaign_keeps_names_as_they_are(paper_work: Path, tmp_path: Path, said: str) -> None:
+    """A catalog number must not be rounded like a figure, and a line separator of Unicode ends no row."""
     work = tmp_path / "work"
     shutil.copytree(paper_work, work)
     workspace = malus.Workspace(work)
-    workspace.quality = workspace.quality | {"name": "19470"}
+    workspace.quality = workspace.quality | {"name": said}
     with workspace.recording("paper") as files:
         for table in (table_1(workspace), table_2(workspace)):
             (work / f"paper/{table.name}.csv").write_text(table.csv())
             files.append(f"paper/{table.name}.csv")
     malus.merge_campaign([work], tmp_path / "all")
     for name in ("table_1", "table_2"):
-        assert "| 19470 |" in (tmp_path / f"all/{name}.md").read_text(), name
-        assert "\n19470," in (tmp_path / f"all/{name}.csv").read_text(), name
+        assert f"| {said} |" in (tmp_path / f"all/{name}.md").read_text(), name
+        assert f"\n{said}," in (tmp_path / f"all/{name}.csv").read_text(), name
 
 
 def test_detail_beside_a_spike_can_be_read(paper_work: Path) -> None:

@@ -442,6 +442,70 @@ def test_a_new_value_does_not_part_the_next_table_from_its_comment(tmp_path: Pat
     assert document.text == text.replace("notebook\n", 'notebook\nmask = "mask.png"\n')
 
 
+@pytest.mark.parametrize(
+    ("text", "change", "expected"),
+    [
+        ('[object]\nmaker = "x"\n\n# Glass.\n[optics]\n', ("object", "maker", None), "# Glass.\n[optics]\n"),
+        ("[[patch]]\nname = 'a'\n\n# Cuts.\n[[profile]]\n", ("patch", []), "# Cuts.\n[[profile]]\n"),
+        (
+            "[[patch]]\nname = 'a'\n\n[[patch]]\nname = 'b'\n\n# Cuts.\n[[profile]]\n",
+            ("patch", [{"name": "a"}]),
+            "[[patch]]\nname = 'a'\n\n\n# Cuts.\n[[profile]]\n",
+        ),
+        (
+            "[[patch]]\nname = 'a'\n\n# Cuts.\n[[profile]]\n",
+            ("patch", [{"name": "a"}, {"name": "b"}]),
+            "[[patch]]\nname = 'a'\n\n[[patch]]\nname = \"b\"\n\n# Cuts.\n[[profile]]\n",
+        ),
+        (
+            "[photos]\nfolder = 'a'\n\n# A phone.\n[photos.camera]\nmodel = 'x'\n",
+            ("photos", "masks", "m"),
+            "[photos]\nfolder = 'a'\nmasks = \"m\"\n\n# A phone.\n[photos.camera]\nmodel = 'x'\n",
+        ),
+    ],
+    ids=["last key", "all patches", "last patch", "new patch", "inner table"],
+)
+def test_the_comment_on_the_next_table_stays_before_it(
+    tmp_path: Path, text: str, change: tuple[Any, ...], expected: str
+) -> None:
+    from malus.studio.document import StationDocument
+
+    document = StationDocument(tmp_path / "station.toml", text)
+    (document.set if len(change) == 3 else document.set_list)(*change)
+    assert document.text == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "change", "old", "new"),
+    [
+        ("[photos]\nfolder = 'a'\n\n[optics]\n\n[photos.camera]\nx = 1\n", ("photos", "folder", "b"), "'a'", '"b"'),
+        ("[photos.camera]\nx = 1\n\n[optics]\n\n[photos]\nfolder = 'a'\n", ("photos", "folder", "b"), "'a'", '"b"'),
+        ("station.name = 'a'\nstation.unit = 'mm'\n", ("station", "name", "b"), "'a'", '"b"'),
+        ("station.name = 'a'\n", ("station", "unit", "mm"), "'a'\n", "'a'\nstation.unit = \"mm\"\n"),
+        ("photos.camera.x = 1\n[[photos.y]]\n", ("photos", "folder", "b"), "1\n", '1\nphotos.folder = "b"\n'),
+        ("station = {name = 'a'}\n", ("station", "name", "b"), "'a'", '"b"'),
+    ],
+    ids=["apart", "apart before", "dotted", "new dotted", "dotted and apart", "inline"],
+)
+def test_tables_in_parts_and_dotted_keys_can_be_changed(
+    tmp_path: Path, text: str, change: tuple[str, str, str], old: str, new: str
+) -> None:
+    from malus.studio.document import StationDocument
+
+    document = StationDocument(tmp_path / "station.toml", text)
+    document.set(*change)
+    assert document.text == text.replace(old, new)
+
+
+def test_what_cannot_be_changed_is_told(tmp_path: Path) -> None:
+    from malus import InputError
+    from malus.studio.document import StationDocument
+
+    document = StationDocument(tmp_path / "station.toml", "[[photos.l]]\n[optics]\n[photos.q]\n[[photos.l.m]]\n")
+    with pytest.raises(InputError, match=r"Studio cannot change photos as it is written there, expected \[photos\]"):
+        document.set("photos", "folder", "b")
+
+
 def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     from malus import InputError
     from malus.studio.document import StationDocument
@@ -1091,6 +1155,7 @@ def test_from_a_folder_to_the_report(served: Served, page: Any) -> None:
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     angles = [page.locator(f"#angles tbody tr:nth-child({k}) input[type=number]").input_value() for k in (1, 2, 6)]
     assert angles == ["0", "30", "150"]
+    assert page.get_by_label("Pixel values are").input_value() == "linear"  # These are TIFFs.
     require_accessible(page)
     pictured(page, "images")
     page.get_by_role("button", name="Create the station").click()

@@ -594,6 +594,7 @@ def test_entries_for_a_new_station_survive_a_visit_to_another_part(page: Any) ->
     angle = page.get_by_label("Angle of view_00.jpg")
     angle.fill("10")
     page.get_by_label("view_08.jpg is polarized").uncheck()
+    assert page.get_by_label("Pixel values are").input_value() == "srgb"  # These are JPEGs.
     name, file = page.locator("#new-station [name=name]"), page.locator("#new-station [name=path]")
     name.fill("Bust")
     file.fill("bust.toml")

@@ -78,6 +78,8 @@ class Object:
     """`photos`, `scale` and `control` that all stations share, as in `Station.describe`; None if the stations are already in one frame."""
     texture_format: str = _TEXTURE_FORMATS[0]
     turntable: bool = False
+    folder: Path = Path()
+    """That of the object's file, to which its page and quality.json name files."""
 
     @property
     def name(self) -> str:
@@ -139,6 +141,7 @@ class Object:
             shared,
             textures,
             turntable,
+            resolved(file.parent),
         )
 
     def read_reference(self) -> Reference | None:

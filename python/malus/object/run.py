@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from malus import _core, batch
-from malus._files import read_record, sha256_of, write_record
+from malus._files import read_record, sha256_of, with_relative_paths, write_record
 from malus.batch import Outcome
 from malus.errors import DataError, InputError, MalusError
 from malus.object import agreement, meshing, page, texture
@@ -61,8 +61,9 @@ def run_object(
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations. Raises DataError if no station is done, and the errors of malus.reconstruct; an error in making the surface
-    leaves none, nor an earlier one, and has as notes what was warned of before it.
+    outcomes of the stations. Raises DataError if there is no station, the first station's error if none is done, and the errors of
+    malus.reconstruct; if no station is done, or an error ends the making of the surface, there is none, nor an earlier one. The error has
+    as notes what was warned of before it.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
@@ -77,10 +78,13 @@ def run_object(
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     found = [] if frame is None else frame.warnings
+    folder = Path(output) / "object"
     if not done:
+        if folder.exists():
+            with exclusive(folder):
+                _clear(folder)
         raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
-    folder = Path(output) / "object"
     key = _key(thing, outcomes, frame)
     # If two shards end at once, one makes the surface and the other gets an InputError.
     with exclusive(folder):
@@ -198,7 +202,8 @@ def _fuse(
         files += write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
-        stations = station_figures(outcomes, views, agreements, coverage, gsd)
+        shown = _for_others(outcomes, thing.folder)
+        stations = station_figures(shown, views, agreements, coverage, gsd)
         found = [] if frame is None else frame.warnings
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
@@ -206,7 +211,7 @@ def _fuse(
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": warnings_of(outcomes, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
+            "warnings": warnings_of(shown, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
@@ -216,6 +221,11 @@ def _fuse(
         _require_unchanged(thing, outcomes, frame, folder, key)
     # After the temporary folder is gone: a run that finds the record removes nothing.
     write_record(folder / "quality.json", quality)
+
+
+def _for_others(outcomes: Sequence[Outcome], folder: Path) -> list[Outcome]:
+    """The outcomes for files that are given away: reasons name files relative to the object's folder, not by their place on this computer."""
+    return [outcome | {"reason": with_relative_paths(outcome["reason"], folder)} for outcome in outcomes]
 
 
 def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None, folder: Path, key: str) -> None:

@@ -103,7 +103,8 @@ def merge_campaign(works: Sequence[str | Path], output: str | Path) -> list[Path
                     f"{work}: has no tables, expected a workspace that `malus paper STATION.toml` has finished"
                 )
             path = workspace.path(f"paper/{name}.csv")
-            first, *others = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+            with path.open(encoding="utf-8", newline="") as file:
+                first, *others = csv.reader(file)
             if header and first != header:
                 raise InputError(f"{path}: columns {', '.join(first)}, expected {', '.join(header)} as in {works[0]}")
             header = first

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT, Table, Whitespace
+from tomlkit.items import AoT, InlineTable, Item, Key, Null, Table, Whitespace
 
 from malus._files import read_regular, reading, write_bytes
 from malus.errors import InputError
@@ -18,6 +20,9 @@ from malus.errors import InputError
 LISTS = ("scale", "control", "patch", "profile")
 #: Tables that occur once; all other names from the page are refused.
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
+
+#: What tomlkit has of a table or file: values with their keys, and blank lines and comments without.
+_Body = list[tuple[Key | None, Item]]
 
 
 class ChangedError(InputError):
@@ -33,8 +38,10 @@ class TomlDocument:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         try:
+            # First by the standard library: tomlkit reads files in which a table stands twice, and fails when they are changed.
+            tomllib.loads(text)
             self._document = tomlkit.parse(text)
-        except TOMLKitError as error:
+        except (ValueError, TOMLKitError, RecursionError) as error:
             raise InputError(f"{path}: not valid TOML ({error})") from None
 
     @classmethod
@@ -54,16 +61,57 @@ class TomlDocument:
 
     def set(self, table: str, key: str, value: Any) -> None:
         """Set a value, or remove it with None. The text of an equal value is not changed."""
-        if table not in self._document:
-            if value is None:
-                return
-            self._document[table] = tomlkit.table()
-        content = self._document[table]
-        if not isinstance(content, Table):
-            raise InputError(f"{self.path}: {table} is no table, expected [{table}]")
-        _assign(content, key, value)
-        if not content:
-            del self._document[table]
+        with self._changing(table):
+            if table not in self._document:
+                if value is None:
+                    return
+                self._document[table] = tomlkit.table()
+            place = self._place_of(table, key)
+            part = self._document.body[place][1]
+            if not isinstance(part, Table | InlineTable):
+                raise InputError(f"{self.path}: {table} is no table, expected [{table}]")
+            _assign(part, key, value)
+            if not part:
+                self._remove(place)
+
+    @contextmanager
+    def _changing(self, name: str) -> Iterator[None]:
+        """Raise InputError where tomlkit fails to change a table or list, or makes a text that is not TOML."""
+        try:
+            yield
+            tomllib.loads(self.text)
+        except InputError:
+            raise
+        except (ValueError, KeyError, TOMLKitError, RecursionError):
+            where = f"[[{name}]]" if name in LISTS else f"[{name}]"
+            raise InputError(
+                f"{self.path}: Studio cannot change {name} as it is written there, expected {where} with its keys on the lines below"
+            ) from None
+
+    def _place_of(self, table: str, key: str) -> int:
+        """Where in the file's body the part of a table is that has the key, or should have it.
+
+        A table may have several parts: [photos] and, apart, [photos.camera], or keys such as station.name.
+        """
+        places = self._places(table)
+        body = self._document.body
+        for place in places:
+            part = body[place][1]
+            if isinstance(part, Table | InlineTable) and key in part:
+                return place
+        return next((place for place in places if not _is_prefix(*body[place])), places[-1])
+
+    def _places(self, name: str) -> list[int]:
+        """Where in the file's body the parts of a table or list stand."""
+        return [place for place, (key, _) in enumerate(self._document.body) if key is not None and key.key == name]
+
+    def _remove(self, place: int) -> None:
+        """Remove a table or list, except what stands behind its last key, such as the comment on the next table."""
+        item = self._document.body[place][1]
+        left = _text_of(_last_body(item)) if isinstance(item, Table | AoT) else ""
+        self._document.body[place] = (None, Whitespace(left.lstrip("\r\n")))
+        # tomlkit's index of the body still has the table.
+        self._document = tomlkit.parse(self.text)
 
 
 class StationDocument(TomlDocument):
@@ -76,8 +124,8 @@ class StationDocument(TomlDocument):
     @property
     def values(self) -> dict[str, Any]:
         """All values of the file, as plain data."""
-        values: dict[str, Any] = self._document.unwrap()
-        return values
+        # tomlkit fails to unwrap some files with parts of a table apart.
+        return tomllib.loads(self.text)
 
     def set(self, table: str, key: str, value: Any) -> None:
         """As `TomlDocument.set`, for the tables of a station file only."""
@@ -89,22 +137,35 @@ class StationDocument(TomlDocument):
         """Replace the tables [[name]] by `entries`; tables that stay in place keep their comments."""
         if name not in LISTS:
             raise InputError(f"[[{name}]] is no list of a station file, expected one of {', '.join(LISTS)}")
-        if not entries:
-            self._document.pop(name, None)
-            return
+        with self._changing(name):
+            self._replace(name, entries)
+
+    def _replace(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
         if name not in self._document:
+            if not entries:
+                return
             self._document[name] = tomlkit.aot()
         present = self._document[name]
         if not isinstance(present, AoT):
             raise InputError(f"{self.path}: {name} is no list of tables, expected [[{name}]]")
+        if not entries:
+            self._remove(self._places(name)[0])
+            return
         for index, entry in enumerate(entries):
             if index == len(present):
-                present.append(tomlkit.table())
+                added = tomlkit.table()
+                left = _cut_behind(_last_body(present)) if present else ""
+                if left:
+                    _last_body(present).append((None, Whitespace("\n")))
+                    added.value.body.append((None, Whitespace(left)))
+                present.append(added)
             table = present[index]
             for key in [*(key for key in table if key not in entry), *entry]:
                 _assign(table, key, entry.get(key))
-        while len(present) > len(entries):
-            del present[len(present) - 1]
+        if len(present) > len(entries):
+            left = _text_of(_last_body(present))
+            del present[len(entries) :]
+            _last_body(present).append((None, Whitespace(left)))
 
     def require(self, expected: str | None) -> None:
         """Raise ChangedError unless the file has the digest `expected`. None = no file must exist, else InputError."""
@@ -128,7 +189,73 @@ def digest_of(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _assign(table: Table, key: str, value: Any) -> None:
+def _is_prefix(key: Key | None, part: Item) -> bool:
+    """Whether a part of a table has neither a header nor dotted keys, as that of [photos.camera] in [photos]."""
+    return isinstance(part, Table) and part.is_super_table() and not (key and key.is_dotted())
+
+
+def _first_header(item: Item) -> Item:
+    """The table whose header is written first for a table or list."""
+    if isinstance(item, AoT):
+        return item[0]
+    if not (isinstance(item, Table) and item.is_super_table()):
+        return item
+    inner = (within for _, within in item.value.body if isinstance(within, Table | AoT))
+    return next(map(_first_header, inner), item)
+
+
+def _last_body(item: Table | AoT) -> _Body:
+    """The body of the table that stands last in a table or list."""
+    table = item[len(item) - 1] if isinstance(item, AoT) else item
+    body: _Body = table.value.body
+    return _last_body(body[-1][1]) if body and isinstance(body[-1][1], Table | AoT) else body
+
+
+def _behind(body: _Body) -> int:
+    """Where the blank lines and comments behind the last key begin, also if the key was removed."""
+    last = (at for at in range(len(body), 0, -1) if body[at - 1][0] is not None or isinstance(body[at - 1][1], Null))
+    return next(last, 0)
+
+
+def _text_of(body: _Body) -> str:
+    """The text behind the last key."""
+    return "".join(item.as_string() for _, item in body[_behind(body) :])
+
+
+def _cut_behind(body: _Body) -> str:
+    """Remove the first blank line behind the last key and what follows, such as the comment on the next table; returns its text."""
+    begin = next((at for at in range(_behind(body), len(body)) if isinstance(body[at][1], Whitespace)), len(body))
+    text = "".join(item.as_string() for _, item in body[begin:])
+    del body[begin:]
+    return text
+
+
+def _add(table: Table, key: str, item: Item) -> None:
+    """Add a key. The comment on the next table stays before that."""
+    body = table.value.body
+    inner = next(
+        (
+            at
+            for at, (k, v) in enumerate(body)
+            if isinstance(v, AoT) or (k and isinstance(v, Table) and not k.is_dotted())
+        ),
+        None,
+    )
+    if inner is None:
+        left = _cut_behind(body)
+        table[key] = item
+        body.append((None, Whitespace(left)))
+        return
+    own = body[:inner]
+    left = _cut_behind(own)
+    # The places of the tables behind stay: tomlkit has an index of them.
+    body[len(own) : inner] = [(None, Null())] * (inner - len(own))
+    header = _first_header(body[inner][1])
+    header.trivia.indent = left + header.trivia.indent
+    table[key] = item
+
+
+def _assign(table: Table | InlineTable, key: str, value: Any) -> None:
     if value is None:
         table.pop(key, None)
         return
@@ -143,11 +270,7 @@ def _assign(table: Table, key: str, value: Any) -> None:
             inline.update(entry)
             item.append(inline)
         item.multiline(True)
-    # What stands behind a blank line at the table's end, such as the comment on the next table, stays at its end.
-    body = table.value.body
-    end = next((at for at in range(len(body), 0, -1) if body[at - 1][0] is not None), 0)
-    blank = next((at for at in range(end, len(body)) if isinstance(body[at][1], Whitespace)), len(body))
-    behind = [] if key in table else body[blank:]
-    del body[len(body) - len(behind) :]
-    table[key] = item
-    body.extend(behind)
+    if key in table or isinstance(table, InlineTable):
+        table[key] = item
+    else:
+        _add(table, key, item)

@@ -26,7 +26,8 @@ export async function showFolder(path = folder?.path ?? '') {
   asked += 1;  // Discards a pending preview of the folder shown before.
   if (form.hidden) return;
   form.elements.name.value = folder.home;
-  form.elements.response.value = 'linear';
+  // JPEGs have eight bits and, unless somebody made them otherwise, the encoding of a display.
+  form.elements.response.value = shots.every((shot) => !shot.use || /\.jpe?g$/i.test(shot.name)) ? 'srgb' : 'linear';
   form.elements.source.value = 'names';
   byId('taken-fields').hidden = true;
   const free = ['station', folder.name, ...Array.from({ length: 99 }, (_, at) => `station_${at + 2}`)].map((name) => `${home && home !== '.' ? `${home}/` : ''}${name}.toml`);
