@@ -737,6 +737,24 @@ def test_why_there_is_no_model_of_the_photos(mapping: dict[str, Any], ran_out: b
     assert unsaid not in str(caught.value) and "no first pair fixes the geometry" in str(caught.value)
 
 
+def test_each_photo_that_is_left_out_is_named_once_with_its_cause() -> None:
+    """A stray photo was said to have nothing in common with the others, and to have no position for lack of matches."""
+    linked = [*itertools.combinations("abcde", 2), *itertools.combinations("xyz", 2)]
+    mapping = {"best": "0", "models": {"0": ["a", "b", "c"], "1": ["x", "y", "z"], "2": ["c", "d"]}}
+    told: list[str] = []
+    diagnosis.check_mapping(
+        mapping,
+        [*"abcdexyz", "stray"],
+        dict.fromkeys(linked, 50),
+        lambda _, message: told.append(message),
+        ran_out=False,
+    )
+    expected = ("x, y, z: nothing in common", "stray: nothing in common with the other 5", "d are left out", "for e:")
+    assert len(told) == len(expected)
+    for words, warning in zip(expected, told, strict=True):
+        assert words in warning
+
+
 @pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])
 def test_a_principal_point_is_adjusted_if_enough_photos_of_its_lens_have_a_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, photos_of_lenses: list[int], freed: bool
