@@ -41,6 +41,7 @@ from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
+from malus.photogrammetry.station_pose import STATION_IMAGE, station_image
 from malus.reconstruction import expected_times
 from malus.workspace import STEPS
 
@@ -735,6 +736,13 @@ def test_why_there_is_no_model_of_the_photos(mapping: dict[str, Any], ran_out: b
     with pytest.raises(package.DataError, match=said) as caught:
         diagnosis.check_mapping({"best": None, **mapping}, ["a", "b"], {}, print, ran_out=ran_out)
     assert unsaid not in str(caught.value) and "no first pair fixes the geometry" in str(caught.value)
+
+
+def test_no_photo_has_the_name_of_a_stations_image(tmp_path: Path) -> None:
+    """One named malus_station.png, as in the folder of an earlier run, ended in "COLMAP's database is damaged"."""
+    for name in ("malus_station.png", "malus_station_0.png", STATION_IMAGE, station_image(0)):
+        Image.new("L", (96, 64)).save(tmp_path / name)
+    assert [photo.name for photo in list_photos(tmp_path, [])] == ["malus_station.png", "malus_station_0.png"]
 
 
 def test_each_photo_that_is_left_out_is_named_once_with_its_cause() -> None:

@@ -21,8 +21,8 @@ from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
 
-#: Name of the station's image in COLMAP's database and models.
-STATION_IMAGE = "malus_station.png"
+#: Name of the station's image in COLMAP's database and models. No photo has it: hidden files are none.
+STATION_IMAGE = ".malus_station.png"
 #: The station's intensity is encoded like a photo, with the inverse of this power.
 GAMMA = 2.2
 #: A station that sees fewer of the model's points counts as not placed.
@@ -60,7 +60,7 @@ class PlacedStations:
 
 def station_image(number: int) -> str:
     """Image name of one of several stations in COLMAP's database and models."""
-    return f"malus_station_{number}.png"
+    return f".malus_station_{number}.png"
 
 
 def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, StationView]) -> PlacedStations:
