@@ -41,6 +41,13 @@ class StationView:
     """If the lens is unknown: name of a photo with the same camera, lens and focal length."""
     mask: NDArray[np.uint8] | None = None
     """H×W, features outside of it (zero) do not count; None = all count."""
+    title: str = "the station"
+    """What messages call it: nobody knows the name of its image."""
+
+
+def titled(image: str, stations: Mapping[str, StationView]) -> str:
+    """What messages call an image, which is a photo's or, if its name is among theirs, that of a station."""
+    return stations[image].title if image in stations else image
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,8 @@ def _place(
             database.keep_features(source, image, view.mask)
     matches = _match(bench, source, photos, list(stations))
     best = max(matches.values(), key=lambda found: max(found.values(), default=0))
-    failure = DataError(diagnosis.station_not_registered(best, bench.options.photos.min_inliers))
+    of_titles = {titled(image, stations): count for image, count in best.items()}
+    failure = DataError(diagnosis.station_not_registered(of_titles, bench.options.photos.min_inliers))
     if not best:
         raise failure
 
