@@ -196,6 +196,8 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     with pytest.raises(package.InputError, match=r"2 points .* expected at least 3"):
         adjust_datum(entries, cameras, 0.3, lambda level, text: said.append((level, text)))
     assert "marked in 1 photos with a position" in said[-1][1]
+    # The last one is held out.
+    assert said[-1][1].endswith(": it checks nothing") and said[-2][1].endswith(": it does not give the frame")
 
 
 def test_too_few_control_points_are_reported_before_photos_are_matched(tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
+from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
 from malus.reconstruction import expected_times
 from malus.workspace import STEPS
 
@@ -735,6 +736,41 @@ def test_why_there_is_no_model_of_the_photos(mapping: dict[str, Any], ran_out: b
     with pytest.raises(package.DataError, match=said) as caught:
         diagnosis.check_mapping({"best": None, **mapping}, ["a", "b"], {}, print, ran_out=ran_out)
     assert unsaid not in str(caught.value) and "no first pair fixes the geometry" in str(caught.value)
+
+
+def test_no_photo_has_the_name_of_a_stations_image(tmp_path: Path) -> None:
+    """One named malus_station.png, as in the folder of an earlier run, ended in "COLMAP's database is damaged"."""
+    for name in ("malus_station.png", "malus_station_0.png", STATION_IMAGE, station_image(0)):
+        Image.new("L", (96, 64)).save(tmp_path / name)
+    assert [photo.name for photo in list_photos(tmp_path, [])] == ["malus_station.png", "malus_station_0.png"]
+
+
+def test_warnings_call_the_stations_of_an_object_by_their_names() -> None:
+    """They named malus_station_1.png, an image that no user made."""
+    told: list[str] = []
+    bench = SimpleNamespace(log=lambda _, message: told.append(message))
+    views = {station_image(1): StationView(np.zeros((2, 3), np.float32), None, title="station left")}
+    figures = {"status": "converged", "with_few_matches": ["a.jpg", station_image(1)], "lens_sigma": []}
+    window_matching._warn(bench, figures, views)  # type: ignore[arg-type]
+    assert len(told) == 1 and "too few windows in a.jpg, station left: " in told[0]
+
+
+def test_each_photo_that_is_left_out_is_named_once_with_its_cause() -> None:
+    """A stray photo was said to have nothing in common with the others, and to have no position for lack of matches."""
+    linked = [*itertools.combinations("abcde", 2), *itertools.combinations("xyz", 2)]
+    mapping = {"best": "0", "models": {"0": ["a", "b", "c"], "1": ["x", "y", "z"], "2": ["c", "d"]}}
+    told: list[str] = []
+    diagnosis.check_mapping(
+        mapping,
+        [*"abcdexyz", "stray"],
+        dict.fromkeys(linked, 50),
+        lambda _, message: told.append(message),
+        ran_out=False,
+    )
+    expected = ("x, y, z: nothing in common", "stray: nothing in common with the other 5", "d are left out", "for e:")
+    assert len(told) == len(expected)
+    for words, warning in zip(expected, told, strict=True):
+        assert words in warning
 
 
 @pytest.mark.parametrize(("photos_of_lenses", "freed"), [([6], True), ([5], False), ([6, 5], False)])

@@ -222,6 +222,27 @@ def test_depths_before_the_hull_are_dropped_and_do_not_count_as_found(
     assert swept.figures["completeness"] == pytest.approx(seen.mean())
 
 
+def test_the_second_sweep_keeps_no_depths_before_the_hull_either(
+    scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the hull replaces mirror images, the prior's sigma is large, so that a search about it may find others."""
+    gsd = DISTANCE / FOCAL
+    depth = np.float32(scene["depth"])  # type: ignore[arg-type]
+    hull = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    hull[:, :70] = depth[:, :70] + 10 * gsd
+    found = station_sweep.Hull(hull, np.full_like(hull, gsd), {"masks": 4, "mask_files": {"a": "0"}}, {})
+    monkeypatch.setattr(station_sweep._Sweep, "hull", lambda _: found)
+    options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40})
+    surface = np.where(np.isfinite(hull), hull, depth)
+    sigma = np.where(np.isfinite(hull), np.float32(5 * gsd), np.float32(gsd))
+    swept = sweep_station(scene, placed, tmp_path, options, lambda _: station_sweep.FusedOnce(surface, surface, sigma))
+    seen = np.isfinite(swept.depth)
+    assert seen[:, :70].mean() < 0.05 and seen[:, 70:].mean() > 0.8
+    np.testing.assert_array_equal(np.isfinite(swept.sigma), seen)
+    assert swept.shape is not None and swept.figures["completeness"] == pytest.approx(seen.mean())
+    assert swept.figures["masks"] == swept.figures["first"]["masks"] == 4 and swept.figures["mask_files"] == {"a": "0"}
+
+
 RADIUS = 25.0
 
 

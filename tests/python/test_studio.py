@@ -783,6 +783,7 @@ def test_patches_are_drawn_on_the_image_without_distortion_as_they_count(tmp_pat
 def test_the_lens_is_known_once_a_run_has_calibrated_it(tmp_path: Path) -> None:
     """Patches stayed beside their place in the results, with a note, also after the run that had found the lens of the photos."""
     from malus.photogrammetry.control import move_model
+    from malus.photogrammetry.station_pose import STATION_IMAGE
     from malus.studio import app
 
     folder = tmp_path / "relief"
@@ -802,7 +803,7 @@ def test_the_lens_is_known_once_a_run_has_calibrated_it(tmp_path: Path) -> None:
         ("PINHOLE 720 480 1000 1000 360 240", False),
     ):
         (placed / "cameras.txt").write_text(f"1 {lens}\n")
-        (placed / "images.txt").write_text("1 1 0 0 0 0 0 0 1 malus_station.png\n\n")
+        (placed / "images.txt").write_text(f"1 1 0 0 0 0 0 0 1 {STATION_IMAGE}\n\n")
         move_model(placed, model, unmoved)
         said = studio._station({"path": "relief/station.toml"})
         expected = ("SIMPLE_RADIAL", 720, 480, (1000.0, 359.5, 239.5, -0.3)) if known else None

@@ -38,7 +38,13 @@ Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapM
   const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(matrix).eigenvalues();
   if (!(values[0] > least_parallax * values[2]))
     throw input_error(where + ": the rays of its marks are parallel, expected images from different sides");
-  return matrix.ldlt().solve(right);
+  const Eigen::Vector3d point = matrix.ldlt().solve(right);
+  for (const ImageMark& mark : marks) {
+    if (!(model.image(mark.image, where).pose.cam_from_world(point).z() > 0))
+      throw input_error(where + ": the rays of its marks meet behind " + mark.image +
+                        "; is the same point marked in every image?");
+  }
+  return point;
 }
 
 double measured_distance(const ScaleBar& bar, const ColmapModel* model, const std::string& where) {

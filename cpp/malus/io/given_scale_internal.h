@@ -16,8 +16,8 @@ struct GivenScale {
 
 /// Scale of a cloud and its cameras from known distances: between two points of the cloud's frame, or between points
 /// that are marked in two or more images of the model, where their rays meet in the least-squares sense. model: null =
-/// none. `where` names file and table in messages. Throws an input error for marks in unknown images or whose rays are
-/// parallel, for points that coincide, and if every bar is held out.
+/// none. `where` names file and table in messages. Throws an input error for marks in unknown images, for marks whose
+/// rays are parallel or meet behind a camera, for points that coincide, and if every bar is held out.
 GivenScale given_scale(const std::vector<ScaleBar>& bars, const ColmapModel* model, const std::string& where);
 
 }  // namespace malus

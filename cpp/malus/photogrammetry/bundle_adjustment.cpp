@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <set>
 #include <utility>
 
 #include "malus/core/error.h"
@@ -117,6 +118,7 @@ class Reprojection final : public ceres::CostFunction {
 };
 
 void check(const Bundle& bundle) {
+  if (bundle.observations.empty()) throw input_error("bundle: there is no observation");
   std::vector<std::size_t> of_view(bundle.views.size()), of_point(bundle.points.size());
   for (const BundleObservation& observation : bundle.observations) {
     if (observation.view >= bundle.views.size() || observation.point >= bundle.points.size()) {
@@ -131,13 +133,13 @@ void check(const Bundle& bundle) {
     if (bundle.views[k].lens >= bundle.lenses.size()) {
       throw input_error("bundle: view " + std::to_string(k) + " has no lens");
     }
-    if (of_view[k] < 3) {
+    if (of_view[k] > 0 && of_view[k] < 3) {
       throw input_error("bundle: view " + std::to_string(k) + " has " + std::to_string(of_view[k]) +
                         " observations, expected 3 or more");
     }
   }
   for (std::size_t k = 0; k < of_point.size(); ++k) {
-    if (of_point[k] < 2) {
+    if (of_point[k] == 1) {
       throw input_error("bundle: point " + std::to_string(k) + " has " + std::to_string(of_point[k]) +
                         " observations, expected 2 or more");
     }
@@ -165,12 +167,20 @@ double unit_weight(const Bundle& bundle) {
   return robust_spread(ratios) * std::sqrt(observed / std::max(observed - unknown, 1.0));
 }
 
-/// The view farthest from the first, and the axis along which the distance is largest.
-std::pair<std::size_t, int> datum_of_scale(const Bundle& bundle) {
-  std::size_t farthest = 0;
+/// Numbers of the views that have observations.
+std::set<std::size_t> observed_views(const Bundle& bundle) {
+  std::set<std::size_t> observed;
+  for (const BundleObservation& observation : bundle.observations) observed.insert(observation.view);
+  return observed;
+}
+
+/// Of some views the one farthest from the first, and the axis along which the distance is largest.
+std::pair<std::size_t, int> datum_of_scale(const Bundle& bundle, const std::set<std::size_t>& views) {
+  const std::size_t first = *views.begin();
+  std::size_t farthest = first;
   Eigen::Vector3d base = Eigen::Vector3d::Zero();
-  for (std::size_t k = 1; k < bundle.views.size(); ++k) {
-    const Eigen::Vector3d other = bundle.views[k].pose.centre() - bundle.views[0].pose.centre();
+  for (const std::size_t k : views) {
+    const Eigen::Vector3d other = bundle.views[k].pose.centre() - bundle.views[first].pose.centre();
     if (other.norm() > base.norm()) {
       base = other;
       farthest = k;
@@ -234,8 +244,11 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
                              poses[observation.view].values.data(), bundle.points[observation.point].data(),
                              bundle.lenses[lens].camera.params.data());
   }
-  for (Eigen::Vector3d& point : bundle.points) order->AddElementToGroup(point.data(), 0);
-  for (PoseUnknowns& pose : poses) order->AddElementToGroup(pose.values.data(), 1);
+  for (Eigen::Vector3d& point : bundle.points) {
+    if (problem.HasParameterBlock(point.data())) order->AddElementToGroup(point.data(), 0);
+  }
+  const std::set<std::size_t> observed = observed_views(bundle);
+  for (const std::size_t k : observed) order->AddElementToGroup(poses[k].values.data(), 1);
   for (BundleLens& lens : bundle.lenses) {
     double* values = lens.camera.params.data();
     if (!problem.HasParameterBlock(values)) continue;
@@ -247,9 +260,10 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
                           new ceres::SubsetManifold(static_cast<int>(lens.camera.params.size()), {first, first + 1}));
     }
   }
-  problem.SetParameterBlockConstant(poses[0].values.data());
-  const auto [farthest, axis] = datum_of_scale(bundle);
-  if (farthest > 0) problem.SetManifold(poses[farthest].values.data(), new ceres::SubsetManifold(6, {3 + axis}));
+  const std::size_t first = *observed.begin();
+  problem.SetParameterBlockConstant(poses[first].values.data());
+  const auto [farthest, axis] = datum_of_scale(bundle, observed);
+  if (farthest != first) problem.SetManifold(poses[farthest].values.data(), new ceres::SubsetManifold(6, {3 + axis}));
 
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
@@ -266,7 +280,7 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   ceres::Solve(options, &problem, &summary);
   context.check_cancel();
 
-  for (std::size_t k = 0; k < poses.size(); ++k) bundle.views[k].pose = poses[k].pose();
+  for (const std::size_t k : observed) bundle.views[k].pose = poses[k].pose();
   const bool converged = summary.termination_type == ceres::CONVERGENCE;
   report.status = converged ? AdjustmentStatus::converged : AdjustmentStatus::not_converged;
   report.iterations = static_cast<int>(summary.iterations.size());

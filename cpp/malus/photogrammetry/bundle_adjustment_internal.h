@@ -59,11 +59,12 @@ struct BundleReport {
 /// Adjusts lenses, poses and points together to all observations by robust least squares (Cauchy's loss from two
 /// standard deviations on). Uses Ceres, which eliminates the points (Schur complement).
 ///
-/// Datum: the first view's pose stays fixed, and of the base to the view farthest from the first one the largest
-/// coordinate. Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
+/// Views and points without an observation stay as they are, and views without one do not count in what follows. Datum:
+/// the first view's pose stays fixed, and of the base to the view farthest from the first one the largest coordinate.
+/// Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
 ///
-/// Throws an input error for indices out of range, standard deviations that are not positive, or a view or point with
-/// fewer observations than unknowns.
+/// Throws an input error for indices out of range, standard deviations that are not positive, no observation at all, or
+/// a view or point that has some, but fewer than unknowns.
 BundleReport adjust_bundle(Bundle& bundle, const Context& context);
 
 }  // namespace malus

@@ -140,6 +140,20 @@ std::size_t reference_of(const Arrays& arrays, std::size_t point, const Eigen::V
   return best;
 }
 
+/// Removes the observations of views with too few of them for a pose, and of points that no two of the other views see.
+/// COLMAP's filter can leave hardly any of an image that was placed by wrong matches.
+void leave_out_weak(Bundle& bundle) {
+  constexpr int least_of_view = 3, least_of_point = 2;
+  for (std::size_t before = 0; before != bundle.observations.size();) {
+    before = bundle.observations.size();
+    std::vector<int> of_view(bundle.views.size()), of_point(bundle.points.size());
+    for (const BundleObservation& seen : bundle.observations) ++of_view[seen.view], ++of_point[seen.point];
+    std::erase_if(bundle.observations, [&](const BundleObservation& seen) {
+      return of_view[seen.view] < least_of_view || of_point[seen.point] < least_of_point;
+    });
+  }
+}
+
 /// Matches the windows and puts these matches, the keypoints of unmatched points, and those of images with few matches
 /// into the bundle. Returns false if there are too few matches: of all but one image, or of the preferred one.
 bool measure(const Arrays& arrays, const ColmapModel& model, std::size_t preferred, const PhotosOptions& options,
@@ -178,6 +192,7 @@ bool measure(const Arrays& arrays, const ColmapModel& model, std::size_t preferr
         bundle.observations.push_back({seen.view, k, seen.pixel, result.keypoint_px});
     }
   }
+  leave_out_weak(bundle);
   result.points = static_cast<std::size_t>(std::count(matched.begin(), matched.end(), true));
   result.matches = sigmas.size();
   result.matches_a_point =
@@ -199,6 +214,7 @@ void write_back(const Bundle& bundle, const Arrays& arrays, ColmapModel& model) 
     ++counts[seen.point];
   }
   for (std::size_t k = 0; k < arrays.point_ids.size(); ++k) {
+    if (counts[k] == 0) continue;
     ColmapPoint& point = model.points.at(arrays.point_ids[k]);
     point.position = bundle.points[k];
     point.error_px = errors[k] / counts[k];

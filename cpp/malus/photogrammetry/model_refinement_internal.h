@@ -21,9 +21,9 @@ struct ModelRefinement {
   std::size_t points = 0;   ///< points matched in two or more images
   std::size_t matches = 0;  ///< matched windows of these points
   double matches_a_point = 0;
-  double sigma_px = 0;     ///< median standard deviation of a match
-  double keypoint_px = 0;  ///< robust standard deviation of the model's original keypoints
-  std::vector<std::string> with_few_matches;  ///< images that follow the others by their keypoints
+  double sigma_px = 0;                        ///< median standard deviation of a match
+  double keypoint_px = 0;                     ///< robust standard deviation of the model's original keypoints
+  std::vector<std::string> with_few_matches;  ///< images that follow the others by their keypoints, or stay
   BundleReport adjustment;
   /// Standard deviations of the parameters of each lens that was adjusted, by camera id.
   std::map<std::uint32_t, std::vector<double>> lens_sigma;
@@ -38,7 +38,7 @@ struct ModelRefinement {
 /// hundredths of a pixel only, so better measurements give better poses. The reference window of a point is in the
 /// image `preferred` if it sees the point, else in the image that faces the point most. Planes through neighboring
 /// points give the windows' shape. Points without a match, and images with few of them, keep their keypoints, with the
-/// keypoints' standard deviation.
+/// keypoints' standard deviation; with fewer than three keypoints of the model's points an image stays where it is.
 ///
 /// pictures: intensity in [0, 1] of every image of the model, by name. If moved here, they are in memory once; their
 /// pyramids take a third more. freedom: which parameters of each camera's lens are adjusted, by camera id; absent

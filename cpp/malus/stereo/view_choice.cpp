@@ -41,16 +41,22 @@ std::vector<Eigen::Vector2i> sample_pixels(const Mask& mask, const Image<float>&
 ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, const SweepOptions& options,
                        const Context& context)
     : station_(input.camera), options_(options) {
+  // Often all photos are of one lens: one warning for all.
+  std::size_t first = 0, count = 0;
+  double worst_px = 0;
   for (SweepView& view : views) {
     photos_.emplace_back(view, ViewProjection(input.camera, input.pose, view.camera, view.pose));
-    const Photo& photo = photos_.back();
-    if (photo.projection.fit_error_px() > largest_fit_error_px) {
-      std::ostringstream message;
-      message << "surface sweep: photo " << photos_.size() - 1 << ": the lens is approximated to "
-              << photo.projection.fit_error_px() << " px only";
-      context.log(LogLevel::warning, message.str());
-    }
+    const double error_px = photos_.back().projection.fit_error_px();
+    if (!(error_px > largest_fit_error_px)) continue;
+    if (count++ == 0) first = photos_.size() - 1;
+    worst_px = std::max(worst_px, error_px);
   }
+  if (count == 0) return;
+  std::ostringstream message;
+  message << "surface sweep: photo " << first;
+  if (count > 1) message << " and " << count - 1 << " more";
+  message << ": the lens is approximated to " << worst_px << " px only";
+  context.log(LogLevel::warning, message.str());
 }
 
 void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth) {

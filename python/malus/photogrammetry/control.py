@@ -62,9 +62,8 @@ def adjust_datum(
         if len(marks) < 2:
             seen = "in the polarized image alone" if not point["marks"] else f"in {len(marks)} photos with a position"
             level = "info" if not point["marks"] else "warning"
-            log(
-                level, f"[[control]] {point['name']} is marked {seen}, expected two or more: it does not give the frame"
-            )
+            lost = "it checks nothing" if point["check"] else "it does not give the frame"
+            log(level, f"[[control]] {point['name']} is marked {seen}, expected two or more: {lost}")
             continue
         known.append((point["name"], point["xyz"], marks, point["check"]))
     views = [(name, cameras[name].values()) for name in names]

@@ -60,35 +60,38 @@ def check_features(counts: Mapping[str, int], log: Log, *, inside_masks: bool = 
         log("warning", f"few features in {listed(few)}: blurred, dark or plain; these photos may stay without position")
 
 
-def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log) -> None:
-    """Warn of photos without matches to the largest group; DataError if no three photos are linked by matches."""
-    groups = connected_groups(names, pairs)
-    if len(groups[0]) < 3:
+def check_connections(names: Sequence[str], pairs: Mapping[tuple[str, str], int]) -> None:
+    """DataError if no three photos are linked by matches."""
+    if len(connected_groups(names, pairs)[0]) < 3:
         raise DataError(
             f"[photos]: no three of the {len(names)} photos show enough of the same surface ({len(pairs)} pairs match); "
             + _OVERLAP
-        )
-    for group in groups[1:]:
-        log(
-            "warning",
-            f"{listed(group)}: nothing in common with the other {len(groups[0])} photos, left out; if the object is shown, "
-            "photograph the views in between",
         )
 
 
 def check_mapping(
     mapping: Mapping[str, Any], names: Sequence[str], pairs: Mapping[tuple[str, str], int], log: Log, *, ran_out: bool
 ) -> None:
-    """Warn of photos without position and of models that are not connected; DataError if there is no model.
+    """Warn of photos without matches to the others, of others without position, and of models that are not connected, once of each photo;
+    DataError if there is no model.
 
     ran_out: whether the search for a model ended for lack of time.
     """
+    registered = mapping["models"][mapping["best"]] if mapping["best"] is not None else []
+    groups = connected_groups(names, pairs)
+    linked = next((group for group in groups if not set(group).isdisjoint(registered)), groups[0])
+    for group in groups:
+        if group is not linked:
+            log(
+                "warning",
+                f"{listed(group)}: nothing in common with the other {len(linked)} photos, left out; if the object is shown, "
+                "photograph the views in between",
+            )
     if mapping["best"] is None:
         raise DataError(_no_model(mapping, names, pairs, ran_out=ran_out))
-    registered = mapping["models"][mapping["best"]]
     pieces = [model for name, model in mapping["models"].items() if name != mapping["best"]]
     for piece in pieces:
-        others = [name for name in piece if name not in registered]
+        others = [name for name in piece if name not in registered and name in linked]
         if others:
             log(
                 "warning",
@@ -96,7 +99,7 @@ def check_mapping(
                 f"({len(registered)} photos): photograph the views between the two, with overlap to both",
             )
     in_pieces = {name for piece in pieces for name in piece}
-    missing = [name for name in names if name not in registered and name not in in_pieces]
+    missing = [name for name in names if name in linked and name not in registered and name not in in_pieces]
     if missing:
         log(
             "warning",

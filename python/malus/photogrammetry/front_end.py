@@ -141,7 +141,10 @@ def find_object_cameras(
     images = {name: station_image(number) for number, name in enumerate(stations)}
     views = {
         images[name]: StationView(
-            unpolarized, lens_of_raster(lens), mask=outlines[name].mask if name in outlines else None
+            unpolarized,
+            lens_of_raster(lens),
+            mask=outlines[name].mask if name in outlines else None,
+            title=f"station {name}",
         )
         for name, (lens, unpolarized) in stations.items()
     }

@@ -199,7 +199,7 @@ def _connect(
     )
     pairs = {(first, second): count for first, second, count in matches["pairs"]}
     if not sparing:  # The first attempt checked this.
-        diagnosis.check_connections(names, pairs, bench.log)
+        diagnosis.check_connections(names, pairs)
     mapping = bench.journal.stage(
         f"{prefix}mapping",
         {"min_inliers": options.min_inliers, "search_limit_s": options.search_limit_s},

@@ -21,8 +21,8 @@ from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
 from malus.photogrammetry.photos import to_bytes
 
-#: Name of the station's image in COLMAP's database and models.
-STATION_IMAGE = "malus_station.png"
+#: Name of the station's image in COLMAP's database and models. No photo has it: hidden files are none.
+STATION_IMAGE = ".malus_station.png"
 #: The station's intensity is encoded like a photo, with the inverse of this power.
 GAMMA = 2.2
 #: A station that sees fewer of the model's points counts as not placed.
@@ -41,6 +41,13 @@ class StationView:
     """If the lens is unknown: name of a photo with the same camera, lens and focal length."""
     mask: NDArray[np.uint8] | None = None
     """H×W, features outside of it (zero) do not count; None = all count."""
+    title: str = "the station"
+    """What messages call it: nobody knows the name of its image."""
+
+
+def titled(image: str, stations: Mapping[str, StationView]) -> str:
+    """What messages call an image, which is a photo's or, if its name is among theirs, that of a station."""
+    return stations[image].title if image in stations else image
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ class PlacedStations:
 
 def station_image(number: int) -> str:
     """Image name of one of several stations in COLMAP's database and models."""
-    return f"malus_station_{number}.png"
+    return f".malus_station_{number}.png"
 
 
 def place_stations(bench: Bench, photos: PhotoCameras, stations: Mapping[str, StationView]) -> PlacedStations:
@@ -103,7 +110,8 @@ def _place(
             database.keep_features(source, image, view.mask)
     matches = _match(bench, source, photos, list(stations))
     best = max(matches.values(), key=lambda found: max(found.values(), default=0))
-    failure = DataError(diagnosis.station_not_registered(best, bench.options.photos.min_inliers))
+    of_titles = {titled(image, stations): count for image, count in best.items()}
+    failure = DataError(diagnosis.station_not_registered(of_titles, bench.options.photos.min_inliers))
     if not best:
         raise failure
 

@@ -213,11 +213,17 @@ class _Sweep:
             "sweep", inputs, _FIRST, lambda: self._run(_FIRST, None) if hull is None else self._run_or_none(hull)
         )
         depth, sigma, _ = self._read(_FIRST)
-        if hull is not None:
-            mirrored = depth < hull.depth - HULL_SIGMAS * np.hypot(sigma, hull.sigma)
-            depth, sigma = (np.where(mirrored, np.float32(np.nan), values) for values in (depth, sigma))
-            figures = {**figures, **hull.figures, "completeness": self._completeness(depth)}
-        return Swept(depth, sigma, None, figures, self.journal.total_times(), hull)
+        return self._behind_hull(Swept(depth, sigma, None, figures, self.journal.total_times(), hull))
+
+    def _behind_hull(self, swept: Swept) -> Swept:
+        """A sweep without the depths in front of its hull, which are outside of an outline: photos agreed on mirror images there."""
+        hull = swept.hull
+        if hull is None:
+            return swept
+        mirrored = swept.depth < hull.depth - HULL_SIGMAS * np.hypot(swept.sigma, hull.sigma)
+        depth, sigma = (np.where(mirrored, np.float32(np.nan), values) for values in (swept.depth, swept.sigma))
+        figures = {**swept.figures, **hull.figures, "completeness": self._completeness(depth)}
+        return replace(swept, depth=depth, sigma=sigma, figures=figures)
 
     def _completeness(self, depth: NDArray[np.float32]) -> float:
         """Share of the object that has a depth."""
@@ -262,7 +268,8 @@ class _Sweep:
         else:
             figures = self.journal.stage("sweep_again", fused_of, _AGAIN, swept)
             depth, sigma, _, shape = self._read(_AGAIN)
-        return Swept(depth, sigma, shape, {**figures, "first": first.figures}, self.journal.total_times(), first.hull)
+        figures = {**figures, "first": first.figures}
+        return self._behind_hull(Swept(depth, sigma, shape, figures, self.journal.total_times(), first.hull))
 
 
 def sweep_station(

@@ -18,7 +18,7 @@ from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
 from malus.photogrammetry.photos import Photo
-from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView
+from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView, titled
 
 
 def match_windows(
@@ -112,9 +112,10 @@ def _warn(bench: Bench, figures: dict[str, Any], stations: Mapping[str, StationV
             "about the object by some hundredths of a degree",
         )
     if figures["status"] != "too few matches" and figures["with_few_matches"]:
+        few = [titled(image, stations) for image in figures["with_few_matches"]]
         bench.log(
             "warning",
-            f"least-squares matching found too few windows in {listed(figures['with_few_matches'])}: placed by features alone, so that "
+            f"least-squares matching found too few windows in {listed(few)}: placed by features alone, so that "
             "they may be turned about the object by some hundredths of a degree",
         )
     for lens in figures["lens_sigma"]:

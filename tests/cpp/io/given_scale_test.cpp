@@ -83,6 +83,14 @@ TEST(GivenScale, WrongMarksAreNamed) {
   EXPECT_THROW(given_scale({outside}, &pair.model, "s"), Error);
 }
 
+TEST(GivenScale, RaysThatMeetBehindACameraAreRefused) {
+  const Pair pair;
+  // Marks of a point behind the cameras are where its mirror image would be: their rays diverge in front of them.
+  const ScaleBar exchanged = pair.bar({0, 0, -5}, {1, 0, 5}, 1);
+  expect_error(
+      ErrorCode::input, [&] { given_scale({exchanged}, &pair.model, "s"); }, "meet behind left.jpg", "same point");
+}
+
 TEST(GivenScale, MarksWhereTheLensBendsBackAreRefused) {
   Pair pair;
   pair.model.cameras[1] = {LensModel::simple_radial, {200, 200}, {100, 99.5, 99.5, -0.3}};

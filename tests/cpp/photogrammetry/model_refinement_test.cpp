@@ -241,6 +241,27 @@ TEST(Refinement, FollowsByKeypointsWhereAnImageHasNoMatches) {
   EXPECT_LT(turn(scene.model.images.at(4).pose, scene.truth.images.at(4).pose), 2e-3);
 }
 
+TEST(Refinement, LeavesAnImageThatSeesTwoPointsWhereItIs) {
+  for (const std::uint32_t weak : {1U, 4U}) {  // the first image is also that of the datum
+    Scene scene = seven_photos();
+    scene.pictures.at(scene.model.images.at(weak).name).fill(0.4F);
+    int seen = 0;
+    for (auto& [id, point] : scene.model.points)
+      std::erase_if(point.track, [&](const auto& at) { return at.first == weak && ++seen > 2; });
+    const ColmapModel before = scene.model;
+    const ModelRefinement done = refine_model(scene.model, scene.pictures, "station.png", {}, {}, {});
+    EXPECT_EQ(done.status, AdjustmentStatus::converged);
+    EXPECT_EQ(done.with_few_matches, std::vector<std::string>{before.images.at(weak).name});
+    EXPECT_EQ(scene.model.images.at(weak).pose.translation, before.images.at(weak).pose.translation);
+    const auto turn_between = [&](const ColmapModel& model) {
+      return turn(model.images.at(7).pose, model.images.at(2).pose);
+    };
+    const double truth = turn_between(scene.truth);
+    EXPECT_LT(std::abs(turn_between(scene.model) - truth), std::abs(turn_between(before) - truth) / 3);
+    for (const auto& [id, point] : scene.model.points) EXPECT_TRUE(point.position.allFinite());
+  }
+}
+
 TEST(Refinement, LeavesTheModelWhenNothingMatches) {
   ColmapModel model = seven_photos().model;
   auto pictures = seven_photos().pictures;

@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <string>
+#include <vector>
 
 #include "malus/stereo/view_choice_internal.h"
 #include "malus/stereo/view_projection_internal.h"
@@ -33,6 +35,21 @@ TEST(ViewProjection, LeavesOutWhereALensBendsBack) {
   EXPECT_LT(view.fit_error_px(), 1e-3);
   EXPECT_NEAR((view.project(300, 200, 2) - bent.distort({0.1, 0.05})).norm(), 0, 1e-3);
   EXPECT_LT(view.project(200 + 1800, 150, 2).x(), -1000);
+}
+
+TEST(ViewChoice, WarnsOnceOfALensThatAllPhotosShare) {
+  Scene scene = make_scene(plane, 4);
+  for (std::size_t k = 1; k < scene.views.size(); ++k) {
+    const Pinhole lens = scene.views[k].camera.pinhole();
+    scene.views[k].camera = {
+        LensModel::full_opencv, lens.size, {lens.fx, lens.fy, lens.cx, lens.cy, 30, 0, 0, 0, 0, 31, 300, 0}};
+  }
+  std::vector<std::string> told;
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& message) { told.push_back(message); };
+  const ViewChoice photos(scene.input, scene.views, test_options(), context);
+  ASSERT_EQ(told.size(), 1U);
+  EXPECT_NE(told[0].find("photo 1 and 2 more: the lens is approximated to "), std::string::npos) << told[0];
 }
 
 TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndFreesFloatsAtFullSize) {
