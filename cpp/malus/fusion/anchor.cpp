@@ -2,7 +2,6 @@
 #include <cmath>
 
 #include "malus/fusion/anchor_internal.h"
-#include "malus/fusion/same_normals_internal.h"
 
 namespace malus {
 
@@ -23,13 +22,13 @@ double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, d
 
 void hold_map_to(const DepthPrior& prior, Refinement& refinement) {
   // The prior lacks detail finer than its smoothing, so that it cannot replace that detail.
-  constexpr double of_anchor = 0.5, of_smoothing = 1.5;
+  constexpr double of_anchor = 0.5;
   const RefinementImage& image = refinement.image;
   if (!image.reflection.mirrored || image.reflection.metal_error > 0) return;
-  refinement.longest_wave_px = std::max(distance_of_same_normals(image), prior.smoothing_px);
+  refinement.longest_wave_px = std::max(refinement.same_normals_px, prior.smoothing_px);
   const double anchor_px = anchor_length_px(prior, image, refinement.options.anchor);
   if (anchor_px <= 0) return;
-  refinement.map.slow_px = std::max(of_anchor * anchor_px, of_smoothing * prior.smoothing_px);
+  refinement.map.slow_px = std::max(of_anchor * anchor_px, waves_of_prior * prior.smoothing_px);
   refinement.map.x_prior = image.x;
 }
 

@@ -7,6 +7,9 @@ namespace malus {
 
 /// Which of the surface's low frequencies are the prior's: the anchor, decisions 36 and 108.
 
+/// A prior knows the waves that are longer than so many of its smoothing lengths.
+inline constexpr double waves_of_prior = 1.5;
+
 /// Length of the Gaussian beyond which the surface takes its low frequencies from the prior [px]; 0 = unknown, as for a
 /// prior without known noise of points. `anchor` is RefineOptions::anchor.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor);

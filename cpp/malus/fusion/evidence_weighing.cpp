@@ -7,6 +7,8 @@
 #include "malus/fusion/evidence_weighing_internal.h"
 #include "malus/fusion/gain_by_scale_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
+#include "malus/fusion/reflection_labels_internal.h"
+#include "malus/fusion/slow_waves_internal.h"
 
 namespace malus {
 namespace {
@@ -92,6 +94,17 @@ double trust_of_gain(double gain) {
   return ramp(gain, least, enough);
 }
 
+/// How far the object's shape tells the surface from the light, 0 … 1. Waves that are longer than the distance between
+/// places of the same normal can be exchanged for other light (distance_of_same_normals). The prior must know these
+/// waves, or else nothing tells them from other light. A black mirror and bare metal have models that tell them: the
+/// polarization follows from the slopes whatever is mirrored, and the slopes from the brightness.
+double trust_of_shape(const DepthPrior& prior, const Refinement& refinement) {
+  constexpr double least = waves_of_prior, enough = 2, black_mirror = 0.5;
+  const RefinementImage& image = refinement.image;
+  if (prior.smoothing_px <= 0 || image.reflection.metal_error > 0 || specular_share(image) > black_mirror) return 1;
+  return ramp(refinement.same_normals_px / prior.smoothing_px, least, enough);
+}
+
 /// Returns the surface to the prior where it is farther from the prior than the prior's errors allow, for example where
 /// the search for other minima took a wrong one. A surface that is better than its prior differs from it by the prior's
 /// errors: by one standard deviation, if this contains all errors, as a stated one of a mesh or a depth map does (with
@@ -132,14 +145,16 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
   // The slopes from a dielectric's formulas are wrong for a metal, however well they fit.
   const bool is_metal = looks_like_metal(image), settled = has_settled(report);
   const GainByScale::Gains::Scale gain = reduce_to_gain(refinement, x_prior);
+  report.shape_share = trust_of_shape(prior, refinement);
   parallel_pixels(context, image.object, [&](int u, int v) {
     const auto share = [&](const Image<float>& cells) {
       return between_cells(cells, ExplainedPolarization::cell_px, u, v);
     };
-    const double trust = is_metal || !settled ? 0
-                         : explained_as_metal ? share(in_metal)
-                         : with_map           ? trust_with_map(share(shares), report.explained_share, share(after))
-                                    : trust_with_regions(share(shares), report.explained_share, share(after), options);
+    const double explained = explained_as_metal ? share(in_metal)
+                             : with_map
+                                 ? trust_with_map(share(shares), report.explained_share, share(after))
+                                 : trust_with_regions(share(shares), report.explained_share, share(after), options);
+    const double trust = is_metal || !settled ? 0 : report.shape_share * explained;
     const double gained = trust_of_gain(between_cells(gain.gain, gain.cell_px, u, v));
     if (image.pixels(u, v)) report.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
     image.x(u, v) = x_prior(u, v) + trust * (image.x(u, v) - x_prior(u, v));
@@ -149,6 +164,7 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
   // Assumed errors say nothing, and those of shapes and hulls are systematic.
   const bool is_stated = prior.noise > 0 && !prior.assumes_sigma && prior.hull_fraction <= 0.5;
   if (prior.smoothing_px > 0 || is_stated) stay_near_prior(prior, refinement, x_prior);
+  if (prior.smoothing_px > 0) shrink_slow_waves(image, x_prior, prior.smoothing_px, context);
   // Pixels without usable polarization follow their neighbors, and are not counted as evidence.
   report.trusted_share = mean_over(image.usable, [&](int u, int v) { return report.trust(u, v) / 255.0; });
   report.explained_beyond_plane = refinement.mean_over_object(beyond_plane);

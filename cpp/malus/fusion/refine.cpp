@@ -18,6 +18,7 @@
 #include "malus/fusion/refinement_verdict_internal.h"
 #include "malus/fusion/reflection_labels_internal.h"
 #include "malus/fusion/region_choice_internal.h"
+#include "malus/fusion/same_normals_internal.h"
 
 namespace malus {
 namespace {
@@ -228,6 +229,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
     model.find_index(input.refractive_index);
     if (options.surroundings && input.reflection == ReflectionChoice::automatic) model.choose(!metal.excluded);
   }
+  refinement.same_normals_px = distance_of_same_normals(image);
   hold_map_to(prior, refinement);
   const SolveStatistics solved = Rounds(refinement).run();
   result.report.linear_solver_share = solved.linear_solver_seconds / std::max(solved.solver_seconds, 1e-9);

@@ -82,6 +82,8 @@ struct RefineReport {
   /// (with a map of the surroundings, of what a plane does not explain), and always of what a plane does not explain.
   double explained_share = std::numeric_limits<double>::quiet_NaN();
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
+  /// How far the object's shape tells the surface's waves from other light (trust_of_shape), 0 … 1.
+  double shape_share = 1;
   /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
   /// Of the result's Stokes vectors, in standard deviations, over the usable pixels that are refined by half or more;
@@ -92,8 +94,8 @@ struct RefineReport {
   double linear_solver_share = 0;  ///< of the time spent in Ceres
 
   // Of the model and the maps nothing is listed.
-  MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, regions_compared,
-               regions_taken, tiles, iterations)
+  MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, shape_share,
+               regions_compared, regions_taken, tiles, iterations)
 };
 
 struct RefineResult {

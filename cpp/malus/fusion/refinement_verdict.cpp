@@ -117,9 +117,15 @@ void judge_model(const RefineReport& report, FusedSurface& surface) {
 /// Why the surface is the prior's in parts.
 std::string why_the_priors(const RefineReport& report) {
   constexpr double much_noise = 0.7;
-  const std::string model =
+  std::string model =
       "the reflection model does not explain the polarization, or leads farther from the prior than the prior's errors "
       "allow";
+  if (report.shape_share < 1) {
+    model =
+        "each normal of the object occurs in one small place only, so that relief which the prior lacks cannot be "
+        "told from other light (larger images or a denser cloud help), or " +
+        model;
+  }
   if (!(report.gain_share < much_noise)) return model;
   return "much of what the polarization would change cannot be told from noise (little light, images that do not lie "
          "exactly on each other, texture finer than the pixels), or " +

@@ -151,6 +151,14 @@ TEST(Verdict, AModelThatWasNotAskedIsNotBlamed) {
   EXPECT_FALSE(mentions(surface.confidence.reasons, "does not explain"));
 }
 
+TEST(Verdict, SaysThatTheShapeDoesNotTellTheReliefFromTheLight) {
+  RefineReport report = good();
+  report.trusted_share = 0.5;
+  EXPECT_FALSE(mentions(judged(report).confidence.reasons, "each normal of the object"));
+  report.shape_share = 0.5;
+  EXPECT_TRUE(mentions(judged(report).confidence.reasons, "each normal of the object"));
+}
+
 TEST(Verdict, PolarizationThatAPlaneExplainsIsNoEvidenceOfRelief) {
   RefineReport report = good();
   report.explained_beyond_plane = 0.1;

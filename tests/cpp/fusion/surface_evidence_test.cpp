@@ -5,6 +5,7 @@
 
 #include "malus/fusion/refine_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
+#include "malus/fusion/slow_waves_internal.h"
 #include "malus/fusion/surface_evidence_internal.h"
 #include "quick_refinement.h"
 #include "synthetic_station.h"
@@ -140,6 +141,44 @@ TEST(Evidence, SurfacesStayAsNearToADepthMapAsItsStatedErrorsAllow) {
   };
   EXPECT_LT(with_sigma(1.2 * of_prior), 0.75 * of_prior);
   EXPECT_GT(with_sigma(of_prior / 3), 0.95 * of_prior);
+}
+
+/// Relief that the prior lacks is the object's only if the object has each normal in places that far apart.
+TEST(Evidence, NothingIsGainedWhereThePriorLacksMoreThanTheShapeTells) {
+  SyntheticStation station = make_station(scene_under_a_sky());
+  const auto refined_with = [&](double smoothing_px) {
+    station.prior.smoothing_px = smoothing_px;
+    return refine(station.state, station.prior, diffuse, quick(), Context{});
+  };
+  const RefineResult told = refined_with(1), untold = refined_with(100);
+  EXPECT_EQ(told.report.shape_share, 1);
+  EXPECT_GT(told.report.trusted_share, 0.9);
+  EXPECT_EQ(untold.report.shape_share, 0);
+  EXPECT_EQ(untold.report.trusted_share, 0);
+  EXPECT_NEAR(rms_of_columns(untold.surface.depth, station.prior.depth, 8, 152), 0, 0.01);
+}
+
+TEST(Evidence, SlowWavesAreShrunkByThePriorsVarianceAndDetailStays) {
+  SyntheticStation station = make_station(scene_under_a_sky());
+  constexpr double sigma_gsd = 0.5, smoothing_px = 2;
+  station.prior.sigma = Image<float>(station.prior.depth.size(), 1, static_cast<float>(sigma_gsd * station_gsd_mm));
+  RefinementImage image = make_image(station.state, station.prior, Context{});
+  const Image<double> prior = image.x;
+  const double sigma = image.source(80, 64).prior_sigma;
+  const auto moved = [&](double offset) {
+    for (int v = 0; v < image.size().height; ++v) {
+      for (int u = 0; u < image.size().width; ++u) image.x(u, v) = prior(u, v) + offset + 0.4 * sigma * (u % 2);
+    }
+    shrink_slow_waves(image, prior, smoothing_px, Context{});
+    return Eigen::Vector2d(image.x(80, 64) - prior(80, 64), image.x(81, 64) - prior(81, 64));
+  };
+  // The even columns' movement and half of the odd ones' is the slow part.
+  for (const double offset : {0.5, 1.8, 4.8}) {
+    const double slow = offset + 0.2, share = std::min(1.0, 1 / (slow * slow));
+    const Eigen::Vector2d now = moved(offset * sigma) / sigma;
+    EXPECT_NEAR(now.mean(), share * slow, 0.01) << offset;
+    EXPECT_NEAR(now.y() - now.x(), 0.4, 0.01) << offset;
+  }
 }
 
 /// The image as a diffuse body under the scene's light.
