@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -188,6 +189,28 @@ def test_incomplete_sweep_drops_depths_that_the_fused_surface_contradicts(
     assert first.figures["first"]["completeness"] == pytest.approx(before.mean())
     np.testing.assert_array_equal(first.depth, second.depth)
     np.testing.assert_array_equal(first.shape, second.shape)
+
+
+def test_messages_of_the_sweep_name_the_file_of_a_photo(
+    scene: dict[str, object], placed: StationCameras, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They had its index from 0 only."""
+    options = malus.Options(sweep={"station_gamma": 1.0, "min_level_px": 40, "again": False})
+    told: list[str] = []
+
+    def sweep(*arguments: Any) -> malus.stereo.SweepResult:
+        arguments[8]("warning", "surface sweep: photo 1 and 1 more: the lens is approximated to 2 px only")
+        return real(*arguments)
+
+    real = malus.stereo.sweep
+    monkeypatch.setattr(malus.stereo, "sweep", sweep)
+    _core.write_tiff16(str(placed.photos[2][0].path), np.zeros((HEIGHT, WIDTH - 1), np.uint16))
+    with pytest.raises(malus.InputError, match=r"surface sweep: photo photo_2\.tif is 119 x 100 pixels"):
+        station_sweep.sweep_station(
+            placed, scene["intensity"], np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path / "work",  # type: ignore[arg-type]
+            options=options, threads=1, progress=lambda *_: None, log=lambda level, message: told.append(message),
+        )  # fmt: skip
+    assert told == ["surface sweep: photo photo_1.tif and 1 more: the lens is approximated to 2 px only"]
 
 
 def test_few_masks_make_no_hull_and_leave_the_sweep(

@@ -7,6 +7,7 @@ sweep finds nothing, the visual hull of the photos' masks. Finished sweeps are n
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from malus import _core, stereo
 from malus._robust import robust_spread
 from malus.camera import Camera
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry.diagnosis import Log
 from malus.photogrammetry.front_end import Report, StationCameras
@@ -113,6 +114,10 @@ _KEPT = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", _SHAPE]
 _AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", _SHAPE]
 
 
+#: A photo in the messages of malus.stereo.sweep: its index among those that the sweep got.
+_INDEX = re.compile(r"(?<=^surface sweep: photo )\d+")
+
+
 @dataclass(frozen=True)
 class _Sweep:
     """A station's sweeps, each a stage of the journal."""
@@ -174,18 +179,21 @@ class _Sweep:
     def _run(
         self, outputs: Sequence[str], surface: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     ) -> dict[str, Any]:
-        found = stereo.sweep(
-            np.nan_to_num(self.unpolarized),
-            self.view,
-            [(photo.path, camera) for photo, camera in self.cameras.photos],
-            self.cameras.model.points,
-            self.mask,
-            self.options,
-            self.threads,
-            lambda _, fraction, message: self.progress(fraction, message),
-            self.journal.log,
-            surface,
-        )
+        try:
+            found = stereo.sweep(
+                np.nan_to_num(self.unpolarized),
+                self.view,
+                [(photo.path, camera) for photo, camera in self.cameras.photos],
+                self.cameras.model.points,
+                self.mask,
+                self.options,
+                self.threads,
+                lambda _, fraction, message: self.progress(fraction, message),
+                lambda level, message: self.journal.log(level, self._named(message)),
+                surface,
+            )
+        except InputError as error:
+            raise InputError(self._named(str(error))) from error
         self._write(outputs, (found.depth, found.sigma, found.confidence))
         return {
             "views": found.views_used,
@@ -195,6 +203,10 @@ class _Sweep:
             "score": found.median_score,
             "sigma_gsd": found.median_sigma_gsd,
         }
+
+    def _named(self, message: str) -> str:
+        """A message of the sweep with the name of the photo's file, which is what people know."""
+        return _INDEX.sub(lambda index: self.cameras.photos[int(index[0])][0].name, message)
 
     def first(self, settings: Mapping[str, Any]) -> Swept:
         """The first sweep, near the triangulated points."""
