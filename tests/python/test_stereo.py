@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -322,3 +322,44 @@ def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path
     assert np.nanmedian(off) < 0.05 * RADIUS
     assert (off < 2 * first.hull.sigma[np.isfinite(truth)])[np.isfinite(off)].mean() > 0.9
     assert set(first.rasters()) == {"depth", "sigma", "hull", "hull_sigma"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"), [((5,), "without .*/5.png there is"), ((0, 1, 2, 3, 4, 5), "masks: .*0.png, ")]
+)
+def test_masks_that_do_not_meet_are_named(tmp_path: Path, wrong: tuple[int, ...], said: str) -> None:
+    """The error named no file."""
+    station, silhouettes = camera_at((0, 0, 0)), []
+    for k in range(12):
+        turn = 2 * np.pi * k / 12 + 0.2
+        camera, file = camera_at((280 * np.cos(turn), 0, DISTANCE + 280 * np.sin(turn))), tmp_path / f"{k}.png"
+        mask = np.where(np.isfinite(ball_seen(camera)), np.uint8(255), np.uint8(0))
+        if k in wrong:
+            mask[:] = 0
+            corner = 85 * (k % 2)
+            mask[corner : corner + 10, corner : corner + 10] = 255
+        _core.write_png(str(file), mask)
+        silhouettes.append((f"photo {k}", file, camera))
+    nothing = SparseModel({}, np.zeros((0, 3)), np.zeros(0), np.zeros(0, int))
+    cameras = StationCameras(station, [], nothing, {}, {}, silhouettes=silhouettes)
+    with pytest.raises(malus.DataError, match=said):
+        station_sweep.sweep_station(
+            cameras, np.full((HEIGHT, WIDTH), 0.5, np.float32), np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path / "work",
+            options=malus.Options(), threads=1, progress=lambda *_: None, log=lambda *_: None,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wrong", "count", "most", "found"),
+    [("a", 1, 1, "a"), ("g", 7, 3, "g"), ("e", 5, 1, "e"), ("bd", 8, 4, "bdfh"), ("ab", 8, 4, ""), ("a", 4, 0, "")],
+)
+def test_wrong_names_are_found_by_halving(wrong: str, count: int, most: int, found: str) -> None:
+    names = list("abcdefgh"[:count])
+    asked: list[Sequence[str]] = []
+
+    def is_right(left_out: Sequence[str]) -> bool:
+        asked.append(left_out)
+        return set(wrong) <= set(left_out)
+
+    assert list(station_sweep._without_which(names, most, is_right)) == list(found)
+    assert len(asked) <= 8 and all(len(left_out) <= most for left_out in asked)

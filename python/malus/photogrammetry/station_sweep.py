@@ -7,6 +7,7 @@ sweep finds nothing, the visual hull of the photos' masks. Finished sweeps are n
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.options import Options
-from malus.photogrammetry.diagnosis import Log
+from malus.photogrammetry.diagnosis import Log, listed
 from malus.photogrammetry.front_end import Report, StationCameras
 from malus.photogrammetry.journal import Journal, digest
 from malus.photogrammetry.station_pose import lens_of_raster, placed_at
@@ -116,6 +117,27 @@ _AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confide
 
 #: A photo in the messages of malus.stereo.sweep: its index among those that the sweep got.
 _INDEX = re.compile(r"(?<=^surface sweep: photo )\d+")
+#: File of a mask, and the values of its image's camera.
+_Silhouette = tuple[str, Any]
+
+
+def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> Sequence[str]:
+    """A few names, at most `most`, without which the others are right; none if none are found.
+
+    Halves the names under suspicion, as to ask whether the others are right can take seconds: a single wrong name is found, of several
+    that are in one half, this half.
+    """
+    found: Sequence[str] = []
+    while most > 0 and len(found) != 1:
+        suspects = found or names
+        count = max(2, math.ceil(len(suspects) / most))
+        # Every second one: neighbors often show the same side, and without a whole side nothing is closed.
+        parts = (suspects[first::count] for first in range(min(count, len(suspects))))
+        part = next((part for part in parts if is_right(part)), None)
+        if part is None:
+            break
+        found = part
+    return found
 
 
 @dataclass(frozen=True)
@@ -155,10 +177,10 @@ class _Sweep:
         }
 
         def found() -> dict[str, Any]:
-            rasters = _core.visual_hull(
-                self.view.values(), self.mask, silhouettes, self.threads,
-                lambda _, fraction, __: self.progress(fraction, "visual hull"),
-            )  # fmt: skip
+            try:
+                rasters = self._hull_of(silhouettes)
+            except DataError as error:
+                raise DataError(f"{error} ({self._blamed(silhouettes)})") from error
             self._write(_HULL, rasters)
             return {
                 "masks": len(silhouettes),
@@ -168,6 +190,26 @@ class _Sweep:
         figures = self.journal.stage("hull", inputs, _HULL, found)
         depth, sigma = self._read(_HULL)
         return Hull(depth, sigma, figures, {mask: hashes[f"mask of {name}"] for name, mask, _ in masked})
+
+    def _hull_of(self, silhouettes: list[_Silhouette]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        return _core.visual_hull(
+            self.view.values(), self.mask, silhouettes, self.threads,
+            lambda _, fraction, __: self.progress(fraction, "visual hull"),
+        )  # fmt: skip
+
+    def _blamed(self, silhouettes: list[_Silhouette]) -> str:
+        """Says for the error which masks keep the others from having a hull, or all masks if leaving out some does not help."""
+
+        def others_have_one(left_out: Sequence[str]) -> bool:
+            try:
+                self._hull_of([one for one in silhouettes if one[0] not in left_out])
+            except DataError:
+                return False
+            return True
+
+        masks = [mask for mask, _ in silhouettes]
+        blamed = _without_which(masks, len(masks) - _core.least_silhouettes, others_have_one)
+        return f"without {listed(blamed)} there is a visual hull" if blamed else f"masks: {listed(masks)}"
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):
