@@ -20,7 +20,15 @@ from typing import Any
 
 from malus import _core
 from malus._extra import extra
-from malus._files import UNTIL_LEFT_S, read_record, read_regular, remove_unfinished, write_record, write_text
+from malus._files import (
+    UNTIL_LEFT_S,
+    read_record,
+    read_regular,
+    remove_unfinished,
+    with_relative_paths,
+    write_record,
+    write_text,
+)
 from malus.campaign import Campaign, Task
 from malus.columns import csv_text
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, ending_of, error_of
@@ -361,7 +369,11 @@ def _merge(campaign: Campaign, tasks: Sequence[Task], output: Path) -> list[Outc
     outcomes = [_marker(task) for task in tasks]
     while True:
         rows = [
-            {"station": outcome["station"], "status": outcome["status"], "reason": outcome["reason"]}
+            {
+                "station": outcome["station"],
+                "status": outcome["status"],
+                "reason": with_relative_paths(outcome["reason"], campaign.folder),
+            }
             | {column: outcome.get("figures", {}).get(column) for column in COLUMNS[3:]}
             for outcome in outcomes
         ]

@@ -103,6 +103,11 @@ class Campaign:
     report: bool
     photos_of: Path | None = None
 
+    @property
+    def folder(self) -> Path:
+        """The folder in which the folders of all stations are, to which tables and page name files."""
+        return Path(os.path.commonpath([resolved(path.parent) for path in self.stations] or [Path("/")]))
+
     def station(self, path: str | Path) -> Station:
         """Read one of the stations."""
         return Station.load(path, photos_of=self.photos_of)
