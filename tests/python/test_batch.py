@@ -89,7 +89,7 @@ def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]
     rows = json.loads((output / "campaign.json").read_text())["stations"]
     assert [(row["station"], row["status"]) for row in rows] == [("o00", "done"), ("o01", "failed"), ("o02", "done")]
     assert "angles_deg" in rows[1]["reason"]
-    assert rows[1]["reason"].startswith("o01/station.toml: ")
+    assert rows[1]["reason"].startswith("o01/station.toml, line ")
     for name in ("campaign.csv", "campaign.json", "index.html"):
         assert str(file.parent) not in (output / name).read_text()
     assert rows[0]["name"] == "object 0" and rows[0]["gsd"] > 0 and rows[0]["patch_fused_rmse_gsd"] > 0
