@@ -789,6 +789,26 @@ def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatc
     assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
+@pytest.mark.parametrize(("error", "stays"), [(DataError, False), (InputError, True), (ExternalError, True)])
+def test_an_earlier_surface_goes_only_where_the_photos_tell_of_no_cameras(
+    pair: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception], stays: bool
+) -> None:
+    """It looked like the result of the run that failed. A disk that is not there, or no COLMAP, says nothing about it."""
+    folder = pair.parent / "out/object"
+    folder.mkdir(parents=True)
+    for name in ("quality.json", "mesh.ply"):
+        (folder / name).write_text("earlier")
+
+    def fail(*_: object) -> None:
+        raise error("no cameras")
+
+    monkeypatch.setattr(object_run, "find_frame", fail)
+    monkeypatch.setattr(Object, "require_ready", lambda _: None)  # needs COLMAP
+    with pytest.raises(error, match="no cameras"):
+        run_object(replace(Object.load(pair), shared={}), pair.parent / "out")
+    assert (folder / "mesh.ply").exists() == (folder / "quality.json").exists() == stays
+
+
 def require_gone(pair: Path, output: Path) -> None:
     """Takes o1 out of the object file, and runs it again: nothing of the object tells of it any more."""
     outcome = malus_here("object", edit(pair, ', "o1/station.toml"', ""), "-o", output, "--threads", "1")

@@ -62,12 +62,19 @@ def run_object(
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
     outcomes of the stations. Raises DataError if there is no station, the first station's error if none is done, and the errors of
-    malus.reconstruct; if no station is done, or an error ends the making of the surface, there is none, nor an earlier one. The error has
-    as notes what was warned of before it.
+    malus.reconstruct; if no station is done, or an error ends the making of the surface, or the photos tell of no cameras (DataError),
+    there is no surface, nor an earlier one. The error has as notes what was warned of before it.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
-    frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
+    folder = Path(output) / "object"
+    try:
+        frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
+    except DataError:
+        # The photos as they are now tell of no cameras: an earlier surface is of others. After any other error, such as a disk
+        # that is not there or too little memory, it may be right still.
+        _discard(folder)
+        raise
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
         cameras=None if frame is None else frame.cameras,
@@ -78,11 +85,8 @@ def run_object(
         return outcomes
     done = [outcome for outcome in outcomes if outcome["status"] == "done"]
     found = [] if frame is None else frame.warnings
-    folder = Path(output) / "object"
     if not done:
-        if folder.exists():
-            with exclusive(folder):
-                _clear(folder)
+        _discard(folder)
         raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
     say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
     key = _key(thing, outcomes, frame)
@@ -141,6 +145,13 @@ def _clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for left in (*(folder / name for name in ("levels", "agreement", "reference", "report")), *folder.glob(".mesh-*")):
         shutil.rmtree(left, ignore_errors=True)
+
+
+def _discard(folder: Path) -> None:
+    """Clear the folder of an earlier surface, if there is one; InputError if another process uses it."""
+    if folder.exists():
+        with exclusive(folder):
+            _clear(folder)
 
 
 def _fuse(
