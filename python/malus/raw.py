@@ -6,9 +6,11 @@ import glob
 import hashlib
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,8 @@ IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 2"
+#: Deflate, the strongest compression of RAW files, makes 1032 bytes from one at most.
+_MOST_PIXELS_A_BYTE = 1032
 #: Share of the white level from which a sample is clipped, as by default for a pixel (capture.saturation).
 _CLIPPED = 0.995
 
@@ -43,16 +47,31 @@ def image_size(path: Path) -> tuple[int, int]:
     """Width and height of an image; of a RAW file's, once it is developed."""
     if not is_raw(path):
         return _core.image_size(str(path))
+    with _opened(path) as raw:
+        return int(raw.sizes.iwidth), int(raw.sizes.iheight)
+
+
+@contextmanager
+def _opened(path: Path, content: bytes | None = None) -> Iterator[Any]:
+    """A RAW file of which LibRaw has read the header. InputError if it fails, here or within, or if the file is too small for
+    the pixels that its header states: LibRaw would take memory for all of them.
+    """
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
     try:
-        with library.imread(str(path)) as raw:
-            return int(raw.sizes.iwidth), int(raw.sizes.iheight)
+        with library.RawPy() as raw:
+            if content is None:
+                raw.open_file(str(path))
+            else:
+                raw.open_buffer(io.BytesIO(content))
+            size = path.stat().st_size if content is None else len(content)
+            width, height = int(raw.sizes.raw_width), int(raw.sizes.raw_height)
+            if width * height > _MOST_PIXELS_A_BYTE * size:
+                raise InputError(f"{path}: states {width} x {height} pixels, more than its {size} bytes can hold")
+            yield raw
     except library.LibRawError as error:
-        raise _not_raw(path, error) from None
-
-
-def _not_raw(path: Path, error: Exception) -> InputError:
-    return InputError(f"{path}: not a RAW file that LibRaw can read ({error}), expected one, or PNG or TIFF")
+        raise InputError(
+            f"{path}: not a RAW file that LibRaw can read ({error}), expected one, or PNG or TIFF"
+        ) from None
 
 
 def is_raw(path: Path) -> bool:
@@ -118,23 +137,21 @@ def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = 
     pixel per cell of four, which is faster.
     """
     library = extra("rawpy", "rawpy", "reading RAW files", "raw")
-    try:
-        with library.imread(str(path) if content is None else io.BytesIO(content)) as raw:
-            pixels = raw.postprocess(
-                half_size=half_size,
-                demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,
-                output_color=library.ColorSpace.raw,
-                output_bps=16,
-                gamma=(1, 1),
-                no_auto_bright=True,
-                adjust_maximum_thr=0,
-                use_camera_wb=False,
-                use_auto_wb=False,
-                user_wb=[1, 1, 1, 1],
-                user_flip=0,
-            )
-    except library.LibRawError as error:
-        raise _not_raw(path, error) from None
+    with _opened(path, content) as raw:
+        raw.unpack()
+        pixels = raw.postprocess(
+            half_size=half_size,
+            demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,
+            output_color=library.ColorSpace.raw,
+            output_bps=16,
+            gamma=(1, 1),
+            no_auto_bright=True,
+            adjust_maximum_thr=0,
+            use_camera_wb=False,
+            use_auto_wb=False,
+            user_wb=[1, 1, 1, 1],
+            user_flip=0,
+        )
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
     linear = np.asarray(pixels, dtype=np.float32) / np.float32(65535)

@@ -238,6 +238,21 @@ def test_damaged_raw_is_an_input_error(station: Path, tmp_path: Path) -> None:
     assert "Traceback" not in outcome.err
 
 
+def test_a_header_that_states_more_pixels_than_the_file_can_hold_takes_no_memory(tmp_path: Path) -> None:
+    """LibRaw takes memory for all pixels that a header states: half a gigabyte for this small file."""
+    pytest.importorskip("rawpy")
+    path = tmp_path / "stated.dng"
+    write_dng(path, np.zeros((24, 32), np.uint16))
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        for tag, stated in (("ImageWidth", 23901), ("ImageLength", 11554)):
+            file.pages[0].tags[tag].overwrite(stated)
+    for read in (raw.image_size, raw.linear_image):
+        with pytest.raises(
+            malus.InputError, match=r"stated.dng: states 23901 x 11554 pixels, more than its \d+ bytes can hold"
+        ):
+            read(path)
+
+
 def test_missing_library_is_named(station: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "rawpy", None)
     with pytest.raises(malus.ExternalError, match=r"rawpy, which is not installed.*malus\[raw\]"):
