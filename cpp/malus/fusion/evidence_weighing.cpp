@@ -99,9 +99,9 @@ double trust_of_gain(double gain) {
 /// waves, or else nothing tells them from other light. A black mirror and bare metal have models that tell them: the
 /// polarization follows from the slopes whatever is mirrored, and the slopes from the brightness.
 double trust_of_shape(const DepthPrior& prior, const Refinement& refinement) {
-  constexpr double least = waves_of_prior, enough = 2, black_mirror = 0.5;
+  constexpr double least = waves_of_prior, enough = 2;
   const RefinementImage& image = refinement.image;
-  if (prior.smoothing_px <= 0 || image.reflection.metal_error > 0 || specular_share(image) > black_mirror) return 1;
+  if (prior.smoothing_px <= 0 || image.reflection.metal_error > 0 || is_mostly_specular(image)) return 1;
   return ramp(refinement.same_normals_px / prior.smoothing_px, least, enough);
 }
 

@@ -26,12 +26,6 @@ std::vector<ReflectionSample> samples_of_metal(const RefinementImage& image) {
   return collect_samples(image, Reflection::diffuse, few);
 }
 
-/// Whether most of the object's polarization is that of a mirror image.
-bool is_mostly_specular(const RefinementImage& image) {
-  constexpr double mirror_specular_share = 0.5;
-  return specular_share(image) > mirror_specular_share;
-}
-
 }  // namespace
 
 void ModelChoice::label(const RefineInput& input) {

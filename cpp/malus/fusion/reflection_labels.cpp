@@ -72,4 +72,9 @@ double specular_share(const RefinementImage& image) {
   return mean_over(image.pixels, [&](int u, int v) { return image.kind(u, v) == Reflection::specular; });
 }
 
+bool is_mostly_specular(const RefinementImage& image) {
+  constexpr double mirror_specular_share = 0.5;
+  return specular_share(image) > mirror_specular_share;
+}
+
 }  // namespace malus

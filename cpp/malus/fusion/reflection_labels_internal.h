@@ -15,4 +15,7 @@ void label_reflection(RefinementImage& image, const std::vector<RowRange>& strip
 /// Share of object pixels labeled specular.
 double specular_share(const RefinementImage& image);
 
+/// Whether most of the object's polarization is that of a mirror image.
+bool is_mostly_specular(const RefinementImage& image);
+
 }  // namespace malus
