@@ -21,6 +21,12 @@ static_assert(tile_ring_px == 2 * quad_px);
 /// Change of the slopes from the prior whose weight is halved.
 constexpr double slope_change = 0.1;
 
+/// The solver starts almost with Gauss-Newton steps, because the start is close. Where these raise the cost, as in
+/// paintings with a map of the surroundings, Ceres divides the radius by 2, 4, 8, ...: damping is felt after six
+/// rejected steps, when the radius is about one.
+constexpr double first_radius = 1e6;
+constexpr int most_rejected = 9;
+
 /// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
 std::vector<int> borders(int length, int largest) {
   const int parts = std::max(1, (length + largest - 1) / largest);
@@ -64,9 +70,9 @@ class TileProblem {
     ceres::Solver::Options solver;
     solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
     solver.sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
-    solver.max_num_iterations = options.iterations + 3;  // some steps may be rejected
+    solver.max_num_iterations = options.iterations + most_rejected;
     solver.max_num_consecutive_invalid_steps = 3;
-    solver.initial_trust_region_radius = 1e6;  // almost Gauss–Newton: the start is close
+    solver.initial_trust_region_radius = first_radius;
     solver.jacobi_scaling = false;
     solver.function_tolerance = solver.parameter_tolerance = solver.gradient_tolerance = 0;
     solver.num_threads = 1;
