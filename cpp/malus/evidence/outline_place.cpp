@@ -22,7 +22,9 @@ constexpr int inside_px = 1, outside_px = 2;
 constexpr double full_step = 2;
 /// Of rendered coins and medals without informative colors and phases, no right one gains more than 1.5 standard
 /// deviations.
-constexpr double offset_sigmas = 2, offset_gain = 0.05, offset_shift = 0.03, offset_scale = 0.02;
+constexpr double offset_sigmas = 2, offset_gain = 0.05, offset_shift = 0.03;
+/// More than one step of the size: the edge of a smoothed cloud lies that far beside the object's.
+constexpr double offset_scale = 1.2 * size_step;
 
 /// A pixel of the object with a neighbor outside the object.
 struct OutlinePixel {
