@@ -33,7 +33,7 @@ SCENES = {
     "figurine": 1, "bronze": 1, "coin_metal": 1,
 }  # fmt: skip
 LIGHTS = ("constant", "sun", "softbox", "softboxes", "room", "raking")
-SIZE, FIGURINE_SIZE = "200x150", "160x200"
+SIZE, FIGURINE_SIZE = (200, 150), (160, 200)
 # Photographs are taken up to 27° from the station's direction and see 10° to either side: no lamp may block their view.
 PHOTOS_SEE_DEG = 37.0
 ROUGHNESS, INDEX = (0.03, 0.5), (1.3, 2.0)
@@ -178,8 +178,8 @@ def import_untyped(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[str, int]) -> bool:
-    """Render station `number`; False if it exists already."""
+def render_one(seed: int, number: int, out: Path, quality: float, scale: int, chances: dict[str, int]) -> bool:
+    """Render station `number`, its images `scale` times as wide and high as SIZE; False if it exists already."""
     # The renderer's modules; its own interpreter finds them only once --renderer is known.
     render, lights, noise, scenes = map(import_untyped, ("render", "lights", "noise", "scenes"))
     random = np.random.default_rng([seed, number])
@@ -194,8 +194,9 @@ def render_one(seed: int, number: int, out: Path, quality: float, chances: dict[
                  full_well_e=noise.FULL_WELL_E, read_noise_e=noise.READ_NOISE_E)  # fmt: skip
     # scenes.SCENES is not changed: the next station starts from it again.
     render.SCENES = {name: changed_scene(scenes.SCENES[name], lights, light, random, drawn)}
-    size = FIGURINE_SIZE if name == "figurine" else SIZE
-    sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", "300x200", "--views", "3",
+    width, height = FIGURINE_SIZE if name == "figurine" else SIZE
+    size, view_size = f"{scale * width}x{scale * height}", f"{scale * 300}x{scale * 200}"
+    sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", view_size, "--views", "3",
                 "--view-spp", "6", "--quality", str(quality), "--noisy", "all", "--no-components", "--out", str(folder)]  # fmt: skip
     if light == "constant":  # rays hit this light only by chance: four times the usual samples
         sys.argv += ["--spp", "576"]
@@ -212,6 +213,8 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--quality", type=float, default=0.4, help="mesh density, as render.py's")
+    parser.add_argument("--scale", type=int, default=1, help="images this many times as wide and as high; 3, with --quality 1, is the "
+                        "size of render.py's own stations")  # fmt: skip
     parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="draw among these alone, with equal chances")
     args = parser.parse_args()
     if not (args.renderer / "render.py").exists():
@@ -221,7 +224,7 @@ def main() -> int:
     failed = []
     for number in range(args.first, args.first + args.count):
         try:
-            render_one(args.seed, number, args.output, args.quality, chances)
+            render_one(args.seed, number, args.output, args.quality, args.scale, chances)
         except Exception:  # an object that cannot be rendered does not stop the other stations
             traceback.print_exc()
             failed.append(number)
