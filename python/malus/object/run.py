@@ -243,7 +243,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        if after != before:
+        if after | {"kept": before["kept"]} != before:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )
