@@ -100,7 +100,7 @@ def run_campaign(
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
     Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
     around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
-    or pending.
+    or pending, `kept` whether another run than this one has ended the station.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
@@ -119,7 +119,11 @@ def run_campaign(
             for count, outcome in enumerate(finished, start=1):
                 if progress is not None:
                     progress(count, len(open_tasks), outcome)
-    return _merge(campaign, tasks, Path(output))
+    ran = {task.identifier for task in open_tasks}
+    return [
+        outcome | {"kept": outcome["status"] != "pending" and outcome["station"] not in ran}
+        for outcome in _merge(campaign, tasks, Path(output))
+    ]
 
 
 def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = None) -> list[Outcome]:

@@ -150,8 +150,9 @@ def finishes_of(quality: Mapping[str, Any]) -> str:
     found = (quality.get("refinement") or {}).get("surroundings") or {}
     if not found.get("other_finish_share"):
         return ""
-    usual, other = found["roughness"], found["other_roughness"]
+    usual, other, percent = found["roughness"], found["other_roughness"], 100 * found["other_finish_share"]
+    share = f"about {percent:.0f} %" if percent >= 1 else "less than 1 %"
     return (
-        f"The object has two finishes, like glaze beside bare clay: about {100 * found['other_finish_share']:.0f} % of it is "
+        f"The object has two finishes, like glaze beside bare clay: {share} of it is "
         f"{'duller' if other > usual else 'glossier'} than the rest (roughness {other:.2g} against {usual:.2g})."
     )

@@ -84,6 +84,12 @@ def test_a_campaign_reports_its_start_at_once(three: tuple[Path, Path]) -> None:
     assert (first["fraction"], first["message"], first["seconds_left"]) == (0.0, "3 stations", None)
 
 
+def test_a_later_run_says_which_stations_it_has_run(three: tuple[Path, Path]) -> None:
+    file, output = three
+    said = malus_here("batch", file, "-o", output).out.splitlines()
+    assert said[1:] == ["  run now: o01; kept from an earlier run: 2", f"  page: {output / 'index.html'}"]
+
+
 def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]) -> None:
     file, output = three
     rows = json.loads((output / "campaign.json").read_text())["stations"]
@@ -115,7 +121,7 @@ def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Pat
     outcomes = malus.batch.run_campaign(
         campaign, three[1], progress=lambda done, total, outcome: ran.append(outcome["station"])
     )
-    assert ran == ["o01"]
+    assert ran == ["o01"] and [outcome["kept"] for outcome in outcomes] == [True, False, True]
     assert [outcome["status"] for outcome in outcomes] == ["done"] * 3
     assert malus.batch.failure(outcomes) is None
 

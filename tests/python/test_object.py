@@ -789,11 +789,11 @@ def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatc
     assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
-@pytest.mark.parametrize(("error", "stays"), [(DataError, False), (InputError, True), (ExternalError, True)])
+@pytest.mark.parametrize(("error", "stays"), [(DataError, False), (InputError, False), (ExternalError, True)])
 def test_an_earlier_surface_goes_only_where_the_photos_tell_of_no_cameras(
     pair: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception], stays: bool
 ) -> None:
-    """It looked like the result of the run that failed. A disk that is not there, or no COLMAP, says nothing about it."""
+    """It looked like the result of the run that failed. A COLMAP that is not there says nothing about it."""
     folder = pair.parent / "out/object"
     folder.mkdir(parents=True)
     for name in ("quality.json", "mesh.ply"):
@@ -824,6 +824,7 @@ def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> 
     """How far stations can be trusted, on the page and by the first run, a quiet one and two others that have nothing to do."""
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
+    assert "  run now: none; kept from an earlier run: 2\n" in again.out and "run now" not in outcome.out
     events = [json.loads(line) for line in malus_here("object", pair, "-o", output, "--json").out.splitlines()]
     told = [event["message"] for event in events if event["event"] == "log" and event["level"] == "warning"]
     assert told == [line.removeprefix("warning: ") for line in quiet.err.splitlines()] and told

@@ -281,6 +281,7 @@ def test_two_finishes_are_described_in_a_sentence() -> None:
 
     assert told(0.05, 0.525, 0.106).endswith("about 11 % of it is duller than the rest (roughness 0.53 against 0.05).")
     assert "about 30 % of it is glossier than the rest (roughness 0.1 against 0.4)" in told(0.4, 0.1, 0.3)
+    assert "bare clay: less than 1 % of it is duller" in told(0.05, 0.5, 0.004), "not about 0 %"
     assert told(0.05, 0, 0) == ""
     for one in ({}, {"refinement": None}, {"refinement": {"surroundings": None}}):
         assert finishes_of(figures_of("high", **one)) == ""

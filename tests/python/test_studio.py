@@ -506,6 +506,25 @@ def test_what_cannot_be_changed_is_told(tmp_path: Path) -> None:
         document.set("photos", "folder", "b")
 
 
+def test_comments_do_not_move_where_other_tables_stand_between_those_of_a_list(tmp_path: Path) -> None:
+    """tomlkit gathered the patches, and the comment on the cloud then stood before the second patch."""
+    from malus import InputError
+    from malus.studio.document import StationDocument
+
+    text = "[[patch]]\nname = 'a'\n\n# COMMENT\n[prior]\ncloud = 'c.ply'\n\n[[patch]]\nname = 'b'\n"
+    document = StationDocument(tmp_path / "station.toml", text)
+    for change in (lambda: document.set("station", "name", "x"), lambda: document.set_list("patch", [{"name": "a"}])):
+        with pytest.raises(
+            InputError, match=r"Studio cannot change .* expected those of each list, such as \[\[patch\]\]"
+        ):
+            change()
+    document.write(None)
+    assert document.path.read_text() == text
+    plain = StationDocument(tmp_path / "plain.toml", text.replace("# COMMENT\n", ""))
+    plain.set_list("patch", [{"name": "a"}])
+    assert plain.values == {"patch": [{"name": "a"}], "prior": {"cloud": "c.ply"}}
+
+
 def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     from malus import InputError
     from malus.studio.document import StationDocument

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ def run_batch(args: argparse.Namespace) -> None:
         told = ", ".join(f"{levels[level]} {level}" for level in ("high", "partial", "low") if levels[level])
         print_lines(
             f"{campaign.name}: {len(done)} of {len(outcomes)} stations done{f'; confidence: {told}' if told else ''}",
+            *_kept_words(outcomes),
             f"  page: {args.output / 'index.html'}",
         )
     failed = batch.failure(outcomes)
@@ -85,17 +86,24 @@ def run_object_file(args: argparse.Namespace) -> None:
         if not (args.json or args.quiet):
             print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
     elif not args.json:
-        _print_object(folder, quality, args.quiet)
+        _print_object(folder, quality, outcomes, args.quiet)
     if failed is not None:
         raise failed
 
 
-def _print_object(folder: Path, quality: Mapping[str, Any], quiet: bool) -> None:
+def _kept_words(outcomes: Sequence[batch.Outcome]) -> list[str]:
+    """A line on the stations that this run has run, if others were kept."""
+    kept = sum(outcome["kept"] for outcome in outcomes)
+    ran = [outcome["station"] for outcome in outcomes if not outcome["kept"] and outcome["status"] != "pending"]
+    return [f"  run now: {', '.join(ran) or 'none'}; kept from an earlier run: {kept}"] if kept else []
+
+
+def _print_object(folder: Path, quality: Mapping[str, Any], outcomes: Sequence[batch.Outcome], quiet: bool) -> None:
     if quiet:  # warnings are printed even so
         for line in _doubts_of_object(quality, "warning: "):
             print(line, file=sys.stderr)
         return
-    print_lines(*object_summary(quality), f"  report: malus view {folder}")
+    print_lines(*object_summary(quality), *_kept_words(outcomes), f"  report: malus view {folder}")
 
 
 def _figures_of_object(folder: Path) -> dict[str, Any]:

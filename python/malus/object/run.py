@@ -62,17 +62,17 @@ def run_object(
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
     outcomes of the stations. Raises DataError if there is no station, the first station's error if none is done, and the errors of
-    malus.reconstruct; if no station is done, or an error ends the making of the surface, or the photos tell of no cameras (DataError),
-    there is no surface, nor an earlier one. The error has as notes what was warned of before it.
+    malus.reconstruct; if no station is done, or an error ends the making of the surface, or the photos tell of no cameras (DataError)
+    or cannot be used (InputError), there is no surface, nor an earlier one. The error has as notes what was warned of before it.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
     folder = Path(output) / "object"
     try:
         frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
-    except DataError:
-        # The photos as they are now tell of no cameras: an earlier surface is of others. After any other error, such as a disk
-        # that is not there or too little memory, it may be right still.
+    except (DataError, InputError):
+        # The photos as they are now tell of no cameras: an earlier surface is of others. After any other error, such as too little
+        # memory, it may be right still. A disk that is not there ends Object.load.
         _discard(folder)
         raise
     outcomes = batch.run_campaign(
@@ -243,7 +243,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        if after != before:
+        if after | {"kept": before["kept"]} != before:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )

@@ -121,19 +121,24 @@ _INDEX = re.compile(r"(?<=^surface sweep: photo )\d+")
 _Silhouette = tuple[str, Any]
 
 
-def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> Sequence[str]:
+def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> list[str]:
     """A few names, at most `most`, without which the others are right; none if none are found.
 
-    Halves the names under suspicion, as to ask whether the others are right can take seconds: a single wrong name is found, of several
-    that are in one half, this half.
+    Halves the names under suspicion in three ways, as to ask whether the others are right can take seconds: a single wrong name is
+    found, and several as the smallest of these parts that has all of them.
     """
-    found: Sequence[str] = []
+    found: list[str] = []
     while most > 0 and len(found) != 1:
         suspects = found or names
         count = max(2, math.ceil(len(suspects) / most))
-        # Every second one: neighbors often show the same side, and without a whole side nothing is closed.
-        parts = (suspects[first::count] for first in range(min(count, len(suspects))))
-        part = next((part for part in parts if is_right(part)), None)
+        # First every second one: neighbors often show the same side, and without a whole side nothing is closed. Two wrong
+        # ones that are parted by this may be in every second two or four.
+        parts = (
+            [name for at, name in enumerate(suspects) if at // together % count == number]
+            for together in (1, 2, 4)
+            for number in range(count)
+        )
+        part = next((part for part in parts if part != found and 0 < len(part) <= most and is_right(part)), None)
         if part is None:
             break
         found = part

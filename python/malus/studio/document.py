@@ -41,6 +41,8 @@ class TomlDocument:
             # First by the standard library: tomlkit reads files in which a table stands twice, and fails when they are changed.
             tomllib.loads(text)
             self._document = tomlkit.parse(text)
+            #: The text, if tomlkit would move parts of it: it gathers the tables of a list that have other tables between them.
+            self._as_written = None if tomlkit.dumps(self._document) == text else text
         except (ValueError, TOMLKitError, RecursionError) as error:
             raise InputError(f"{path}: not valid TOML ({error})") from None
 
@@ -57,7 +59,7 @@ class TomlDocument:
     @property
     def text(self) -> str:
         """The text that would be written now."""
-        return tomlkit.dumps(self._document)
+        return self._as_written or tomlkit.dumps(self._document)
 
     def set(self, table: str, key: str, value: Any) -> None:
         """Set a value, or remove it with None. The text of an equal value is not changed."""
@@ -76,7 +78,15 @@ class TomlDocument:
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
-        """Raise InputError where tomlkit fails to change a table or list, or makes a text that is not TOML."""
+        """Raise InputError where tomlkit fails to change a table or list, makes a text that is not TOML, or would move comments to
+        other tables.
+        """
+        if self._as_written and "#" in self._as_written:
+            raise InputError(
+                f"{self.path}: Studio cannot change {name} as it is written there, without moving comments: tables of a list have other "
+                "tables between them, expected those of each list, such as [[patch]], one after the other"
+            )
+        self._as_written = None
         try:
             yield
             tomllib.loads(self.text)
