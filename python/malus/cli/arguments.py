@@ -177,7 +177,11 @@ def _add_runs(add: _Add) -> None:
     check = add(
         "check",
         "read all inputs; report what would be done, the time and memory it needs, and what is wrong",
+        station=False,
         work=False,
+    )
+    check.add_argument(
+        "station", type=Path, metavar="STATION.toml", help="file of a station, or of an object (OBJECT.toml)"
     )
     check.add_argument(
         "--overlay",
