@@ -123,7 +123,7 @@ class PhotosSection(Section):
     match_windows: bool
     """measure the points again by least-squares matching of image windows, and adjust all cameras to these measurements"""
     match_points_a_photo: int
-    """match_windows: largest number of points that are measured again in a photo, those seen in many photos first"""
+    """match_windows: points are measured again until each photo has this many, those seen in many photos first; a photo can get more, for the sake of others"""
     match_radius: int
     """match_windows: radius of the square windows, in px; where noise hides the texture, windows of twice this radius are matched in coarser images"""
     match_range_px: float

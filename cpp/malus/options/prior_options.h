@@ -62,9 +62,9 @@ struct PhotosOptions {
     visit("match_windows", self.match_windows, any_value,
           "measure the points again by least-squares matching of image windows, and adjust all cameras to these "
           "measurements");
-    visit(
-        "match_points_a_photo", self.match_points_a_photo, Range{30, 1e6},
-        "match_windows: largest number of points that are measured again in a photo, those seen in many photos first");
+    visit("match_points_a_photo", self.match_points_a_photo, Range{30, 1e6},
+          "match_windows: points are measured again until each photo has this many, those seen in many photos first; a "
+          "photo can get more, for the sake of others");
     visit("match_radius", self.match_radius, Range{3, 32},
           "match_windows: radius of the square windows, in px; where noise hides the texture, windows of twice this "
           "radius are matched in coarser images");

@@ -53,7 +53,14 @@ class _Add(Protocol):
     """Adds a command that takes the common options, and by default a station file and a workspace folder, and runs steps."""
 
     def __call__(
-        self, name: str, text: str, *, station: bool = True, work: bool = True, computes: bool = True
+        self,
+        name: str,
+        text: str,
+        *,
+        station: bool = True,
+        work: bool = True,
+        computes: bool = True,
+        threads: str = ...,
     ) -> argparse.ArgumentParser: ...
 
 
@@ -66,8 +73,8 @@ def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
     )
 
 
-def _common_options(*, computes: bool) -> Parser:
-    """Options of every command. computes: whether it runs steps, whose options other commands take, but do not show."""
+def _common_options(*, computes: bool, threads: str) -> Parser:
+    """Options of every command. computes: whether it runs steps, whose options other commands take, but do not show. threads: help text."""
 
     def told(text: str) -> str:
         return text if computes else argparse.SUPPRESS
@@ -75,7 +82,7 @@ def _common_options(*, computes: bool) -> Parser:
     common = Parser(add_help=False)
     # What only some commands have.
     common.set_defaults(reference=None, register=False, m3c2=False, pixels=None)
-    common.add_argument("--threads", type=int, metavar="N", help="number of threads; default: all cores")
+    common.add_argument("--threads", type=int, metavar="N", help=threads)
     common.add_argument(
         "--set",
         action="append",
@@ -105,13 +112,19 @@ def command_line() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
     parser = Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
-    common = {computes: _common_options(computes=computes) for computes in (True, False)}
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
 
     def add(
-        name: str, text: str, *, station: bool = True, work: bool = True, computes: bool = True
+        name: str,
+        text: str,
+        *,
+        station: bool = True,
+        work: bool = True,
+        computes: bool = True,
+        threads: str = "number of threads; default: all cores",
     ) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=text, description=text, parents=[common[computes]])
+        common = _common_options(computes=computes, threads=threads)
+        command = commands.add_parser(name, help=text, description=text, parents=[common])
         if station:
             command.add_argument("station", type=Path, metavar="STATION.toml")
         if work:
@@ -164,7 +177,11 @@ def _add_runs(add: _Add) -> None:
     check = add(
         "check",
         "read all inputs; report what would be done, the time and memory it needs, and what is wrong",
+        station=False,
         work=False,
+    )
+    check.add_argument(
+        "station", type=Path, metavar="STATION.toml", help="file of a station, or of an object (OBJECT.toml)"
     )
     check.add_argument(
         "--overlay",
@@ -319,9 +336,22 @@ def _add_import(commands: _Commands) -> None:
 
 
 def _add_many_stations(add: _Add) -> None:
-    many = add("batch", "run many stations; one merged table and page over all of them", station=False, work=False)
+    threads = "number of threads of each station; default: all cores, divided among the stations that run at a time"
+    many = add(
+        "batch",
+        "run many stations; one merged table and page over all of them",
+        station=False,
+        work=False,
+        threads=threads,
+    )
     many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
-    whole = add("object", "run the stations of one object; one surface of all of them", station=False, work=False)
+    whole = add(
+        "object",
+        "run the stations of one object; one surface of all of them",
+        station=False,
+        work=False,
+        threads=threads,
+    )
     whole.add_argument("object", type=Path, metavar="OBJECT.toml")
     for command in (many, whole):
         command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
