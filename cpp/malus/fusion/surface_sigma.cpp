@@ -58,9 +58,10 @@ Image<float> change_of_curvature(const RefinementField& field, double reach_px, 
   return masked_blur(change, field.object, reach_px, context);
 }
 
-/// Variance of the prior [GSD²], including the detail that its smoothing removes.
+/// Variance of the prior [GSD²], including the detail that smoothing removes: that of the prior, and that of the
+/// matching windows from whose means the points of a cloud come.
 Image<float> prior_variance(const RefinementField& field, const PriorErrors& prior, const Context& context) {
-  constexpr double of_smoothing = 0.65;
+  constexpr double of_smoothing = 0.6, windows_px = 2;
   const double of_noise = prior.shares_windows ? 1.0 : 0.3;
   Image<float> variance(field.size(), 1, no_value);
   parallel_pixels(context, field.object,
@@ -69,12 +70,12 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   const double reach =
       std::min(prior.smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
   const Image<float> around = change_of_curvature(field, reach, context);
-  const double length4 = square(square(prior.smoothing_px));
+  const double length2 = square(prior.smoothing_px) + (prior.shares_windows ? 0 : square(windows_px));
   parallel_pixels(context, field.object, [&](int u, int v) {
     const double stretch = 1 + central_slopes(field, u, v).tan2();
     const double own = variance(u, v), noise = std::min(own, square(prior.noise_gsd) * stretch);
     variance(u, v) = static_cast<float>(square(of_noise) * noise + (own - noise) +
-                                        square(of_smoothing) * length4 * around(u, v) * stretch);
+                                        square(of_smoothing * length2) * around(u, v));
   });
   return variance;
 }
