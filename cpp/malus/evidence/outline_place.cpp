@@ -22,7 +22,9 @@ constexpr int inside_px = 1, outside_px = 2;
 constexpr double full_step = 2;
 /// Of rendered coins and medals without informative colors and phases, no right one gains more than 1.5 standard
 /// deviations.
-constexpr double offset_sigmas = 2, offset_gain = 0.05, offset_shift = 0.03;
+constexpr double offset_sigmas = 2, offset_gain = 0.05;
+/// Share of the extent by which a point of the outline is moved.
+constexpr double offset_shift = 0.03;
 /// More than one step of the size: the edge of a smoothed cloud lies that far beside the object's.
 constexpr double offset_scale = 1.2 * size_step;
 
@@ -90,8 +92,8 @@ double total(const Sectors& sums) {
 }  // namespace
 
 bool OutlinePlace::is_offset() const {
-  const bool is_beyond =
-      std::hypot(place.du, place.dv) > offset_shift * extent || std::abs(place.log_scale) > offset_scale;
+  const double size = std::abs(place.log_scale), farthest = std::hypot(place.du, place.dv) + size * extent / 2;
+  const bool is_beyond = farthest > offset_shift * extent || size > offset_scale;
   // A place at the end of the search range is no result: if the surface continues beyond the mask, as with a mask drawn
   // inside a ball's outline, the slope grows outwards, and the largest outline has the largest steps.
   const double searched = std::ceil(largest_move * extent) - 0.5;

@@ -74,8 +74,8 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   parallel_pixels(context, field.object, [&](int u, int v) {
     const double stretch = 1 + central_slopes(field, u, v).tan2();
     const double own = variance(u, v), noise = std::min(own, square(prior.noise_gsd) * stretch);
-    variance(u, v) = static_cast<float>(square(of_noise) * noise + (own - noise) +
-                                        square(of_smoothing * length2) * around(u, v));
+    variance(u, v) =
+        static_cast<float>(square(of_noise) * noise + (own - noise) + square(of_smoothing * length2) * around(u, v));
   });
   return variance;
 }

@@ -34,7 +34,7 @@ std::vector<double> scales_of(const std::vector<double>& gsds);
 /// them is wrong.
 inline constexpr double least_facing = 0.5;
 /// Surfaces farther apart than this many standard deviations are not measurements of the same surface.
-inline constexpr double most_ratio = 6.0;
+inline constexpr double most_ratio = 4.0;
 /// About the largest sample of points in statistics: distances between stations, and whether a contour holds the whole
 /// object.
 inline constexpr std::size_t most_compared = 1'000'000;

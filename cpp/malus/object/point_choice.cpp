@@ -13,6 +13,9 @@
 namespace malus {
 namespace {
 
+/// Points of a cloud that are nearer to a station's surface than this many of their standard deviations are stereo's
+/// mistakes, as in creases.
+constexpr double most_near = 6;
 /// Stereo supports a place that one station alone sees if at least `witnesses` of the `of_nearest` nearest cloud points
 /// lie within so many of their pixels (OrientedPoints::scale), and within so many along the normal.
 constexpr int witnesses = 2, of_nearest = 6;
@@ -123,7 +126,7 @@ OrientedPoints unseen_stereo(const OrientedPoints& cloud, std::span<const Object
   if (seen_points.size() == 0) return unseen;
   free.assign(unseen.size(), 0);
   NearestPoints(seen_points.points).for_each(unseen.points, 1, context, [&](std::size_t i, const NearPoints& near) {
-    free[i] = std::sqrt(near.distances2[0]) > most_ratio * unseen.sigma[i];
+    free[i] = std::sqrt(near.distances2[0]) > most_near * unseen.sigma[i];
   });
   return selected(unseen, free);
 }
