@@ -70,11 +70,19 @@ TEST(SurfaceSigma, EqualsThePriorsSigmaWithoutSmoothing) {
 TEST(SurfaceSigma, IncludesTheReliefThatSmoothingCutsOff) {
   const double plane = sigma_of(cap(0), {5}, nothing)(80, 64);
   EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
-  // Smoothing over the length L cuts off 0.65 L² times the RMS curvature.
-  const double cut = 0.65 * 25 * 0.02 / std::sqrt(2.0);
-  EXPECT_NEAR(sigma_of(waves(0.02), {5}, nothing)(80, 64), std::hypot(plane, cut), 0.1 * cut);
-  EXPECT_NEAR(sigma_of(waves(0.02), {10}, nothing)(80, 64), std::hypot(plane, 4 * cut), 0.4 * cut);
-  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut) << "smoothing cuts off nothing of a ball";
+  // Smoothing over the length L cuts off 0.6 L² times the RMS curvature; the points' windows smooth over 2 px.
+  const auto cut = [](double length2) { return 0.6 * (length2 + 4) * 0.02 / std::sqrt(2.0); };
+  EXPECT_NEAR(sigma_of(waves(0.02), {5}, nothing)(80, 64), std::hypot(plane, cut(25)), 0.1 * cut(25));
+  EXPECT_NEAR(sigma_of(waves(0.02), {10}, nothing)(80, 64), std::hypot(plane, cut(100)), 0.1 * cut(100));
+  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut(25))
+      << "smoothing cuts off nothing of a ball";
+}
+
+TEST(SurfaceSigma, ReliefOnASlopeIsCutOffAsMuchAlongTheRayAsReliefThatFacesTheCamera) {
+  // Across the waves: the slope along them is the same everywhere.
+  const Shape inclined = [](double x, double y) { return waves(0.02)(x, y) + 1.5 * y; };
+  const double facing = sigma_of(waves(0.02), {8}, nothing)(80, 64);
+  EXPECT_NEAR(sigma_of(inclined, {8}, nothing)(80, 64), facing, 0.05 * facing);
 }
 
 TEST(SurfaceSigma, IsNotReducedForPointsThatShareTheirWindows) {
