@@ -8,6 +8,7 @@
 
 #include "evidence_scene.h"
 #include "malus/core/pixel_rect_internal.h"
+#include "malus/evidence/outline_place_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 
 namespace malus {
@@ -407,6 +408,18 @@ TEST(PriorAlignment, ThreadsMakeNoDifference) {
   const PriorAlignment b = check_alignment(cloud, scene.pose, scene.images(), two);
   EXPECT_EQ(a.right_px, b.right_px);
   EXPECT_EQ(a.finding.message, b.finding.message);
+}
+
+TEST(OutlinePlace, OneStepOfTheSizeIsNoOffsetUnlessTheOutlineIsShiftedToo) {
+  OutlinePlace outline{.as_given = 0.81, .at_best = 0.87, .gain_sigmas = 2.2, .place = {}, .extent = 100};
+  outline.place.log_scale = 0.025;
+  EXPECT_FALSE(outline.is_offset()) << "the edge of a smoothed cloud lies that far beside the object's";
+  outline.place.log_scale = 0.05;
+  EXPECT_TRUE(outline.is_offset());
+  outline.place = {2, 2, 0, 0.025};
+  EXPECT_TRUE(outline.is_offset());
+  outline.place = {2, 2, 0, 0};
+  EXPECT_FALSE(outline.is_offset());
 }
 
 }  // namespace
