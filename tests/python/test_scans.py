@@ -216,6 +216,16 @@ def test_a_scan_without_all_coordinates_or_with_no_rotation_is_named(
         read_scan(path, "mm")
 
 
+def test_points_of_an_e57_file_without_a_list_of_fields_are_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """They ended the program, signal 11."""
+    path, whole = written_e57(tmp_path, cloud[0])
+    path.write_bytes(as_file(whole.replace(b"<prototype", b"<prototypo").replace(b"</prototype", b"</prototypo")))
+    with pytest.raises(malus.InputError, match=r"cloud\.e57: .*do not say which fields they have"):
+        read_scan(path, "mm")
+
+
 def test_a_scan_may_be_in_spherical_coordinates(tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57")
     file = pye57.E57(str(tmp_path / "cloud.e57"), mode="w")
