@@ -20,8 +20,8 @@ constexpr double largest_move = 0.1, size_step = 0.025;
 /// fully.
 constexpr int inside_px = 1, outside_px = 2;
 constexpr double full_step = 2;
-/// Of rendered coins and medals without informative colors and phases, no right one gains more than 1.5 standard
-/// deviations.
+/// Of rendered coins and medals without informative colors and phases, no small right one gains more than 1.5 standard
+/// deviations; one at full size gained 2.2 by one step of the size.
 constexpr double offset_sigmas = 2, offset_gain = 0.05;
 /// Share of the extent by which a point of the outline is moved.
 constexpr double offset_shift = 0.03;
