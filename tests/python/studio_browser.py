@@ -192,12 +192,15 @@ def held(page: Any, name: str) -> list[Any]:
     return kept
 
 
-def let_go(page: Any, kept: list[Any], name: str) -> None:
-    """Send the held request and wait for its answer."""
+def let_go(page: Any, kept: list[Any]) -> None:
+    """Send the held request and wait for its answer.
+
+    The route stays: if it were removed while the next request is under way, that request would be sent but not told
+    to `page.on("request")`.
+    """
     wait_for(page, lambda: bool(kept))
     with page.expect_response(kept[0].request.url):
         kept[0].continue_()
-    page.unroute(f"**/api/{name}*")
 
 
 @contextmanager

@@ -125,7 +125,7 @@ def test_of_quick_changes_only_the_last_is_checked(page: Any, station: Path) -> 
         page.get_by_label("White level").press("Tab")
         page.locator("#plan", has_text="Checking").wait_for()
     assert len(asked) == 1
-    let_go(page, kept, "check")
+    let_go(page, kept)
     page.locator("#plan", has_text="Ready").wait_for()
     assert len(asked) == 2
 
@@ -137,7 +137,7 @@ def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -
     level = page.get_by_label("White level")
     level.click()  # takes the focus from the name
     level.press_sequentially("60")
-    let_go(page, kept, "set")
+    let_go(page, kept)
     page.locator("#station-text").evaluate(
         "text => new Promise(done => { const look = () => text.value.includes('Quick') ? done() : setTimeout(look, 20); look(); })"
     )
@@ -151,7 +151,7 @@ def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -
     place.fill("Slow")
     level.click()
     level.fill("")
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: place.get_attribute("value") == "Slow")
     level.press("Tab")
     wait_for(page, lambda: "white_level" not in station.read_text())
@@ -161,12 +161,12 @@ def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -
     kept = held(page, "set")
     level.fill("50000")
     place.select_text()  # takes the focus from the level
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: level.get_attribute("value") == "50000")
     page.keyboard.insert_text("Marked")
     kept = held(page, "set")
     level.select_text()  # takes the focus from the name
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: place.get_attribute("value") == "Marked")
     page.keyboard.insert_text("70000")
     page.keyboard.press("Tab")
@@ -191,7 +191,7 @@ def test_the_last_of_several_quick_choices_counts(served: Served, page: Any) -> 
     wait_for(page, lambda: bool(kept))
     page.get_by_role("button", name="pol (6 images)").click()
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
-    let_go(page, kept, "folder")
+    let_go(page, kept)
     page.wait_for_timeout(300)
     expect(page.locator("#crumbs")).to_contain_text("pol")
     expect(page.locator("#angles tbody tr")).to_have_count(6)
@@ -229,7 +229,7 @@ def test_two_changes_of_a_list_at_once_are_both_made(page: Any, station: Path) -
     for name in ("first", "second"):
         page.get_by_role("group", name=f"patch {name}").get_by_role("button", name="Remove").click()
     page.get_by_role("button", name="Add one by numbers").click()
-    let_go(page, kept, "set")
+    let_go(page, kept)
     page.get_by_role("group", name="patch 1").wait_for()
     wait_for(page, lambda: "[80, 64, 120, 96]" in station.read_text())
     assert "first" not in station.read_text() and "second" not in station.read_text()
@@ -254,7 +254,7 @@ def test_an_image_chosen_while_another_one_is_loading_can_be_drawn_on(page: Any)
     wait_for(page, lambda: bool(kept))
     # Chosen by a script, as by the keyboard: an inert element takes no pointer.
     page.locator("#draw-image").evaluate("one => { one.selectedIndex = 2; one.dispatchEvent(new Event('change')); }")
-    let_go(page, kept, "size")
+    let_go(page, kept)
     page.locator("main:not([aria-busy])").wait_for()
     wait_for(page, lambda: page.locator("#draw [inert]").count() == 0)
 
@@ -273,7 +273,7 @@ def test_nothing_is_marked_while_another_image_is_loading(page: Any, station: Pa
     box = page.locator("#draw-stage").bounding_box()
     assert box
     page.mouse.click(box["x"] + 300, box["y"] + 200)  # on the photo that is still shown
-    let_go(page, kept, "size")
+    let_go(page, kept)
     page.locator("#draw-stage:not([inert])").wait_for()
     page.locator("#draw-stage").click(position={"x": 100, "y": 100})
     page.get_by_text(re.compile(r"in \d photos: .*view_04.jpg")).wait_for()
@@ -291,7 +291,7 @@ def test_nothing_is_painted_during_the_search_for_the_edge(page: Any) -> None:
     page.get_by_role("button", name="Find the edge").click()
     wait_for(page, lambda: bool(kept))
     assert stage.evaluate("stage => stage.inert")
-    let_go(page, kept, "cut")
+    let_go(page, kept)
     page.locator("#draw-stage:not([inert])").wait_for()
 
 
@@ -312,7 +312,7 @@ def test_a_step_of_undo_that_fails_is_not_lost(page: Any, station: Path) -> None
     page.route("**/api/text", lambda route: route.fulfill(status=400, json={"error": "no room on the disk"}))
     page.get_by_role("button", name="Undo the last change").click()
     page.locator("#message", has_text="no room on the disk").wait_for()
-    let_go(page, kept, "model")
+    let_go(page, kept)
     page.locator("#plan", has_text="Ready").wait_for()
     assert page.locator("#message").text_content() == "no room on the disk"
     page.unroute("**/api/text")
@@ -330,7 +330,7 @@ def test_text_being_typed_into_the_station_file_stays(page: Any, station: Path) 
     place.press("Tab")
     text.press("Control+End")
     text.press_sequentially("# typed meanwhile")
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: "Quick" in station.read_text())
     wait_for(page, lambda: page.locator("#fields input").first.input_value() == "Quick")
     assert text.input_value().endswith("# typed meanwhile") and "Quick" not in text.input_value()
@@ -354,7 +354,7 @@ def test_the_station_that_was_opened_last_stays_open(served: Served, page: Any, 
     go(page, "Images")
     page.get_by_role("button", name=f"Open {other.name}").click()
     page.wait_for_timeout(300)
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: "Quick" in station.read_text())
     page.locator("#open-station", has_text=other.name).wait_for()
     page.locator("#plan", has_text="Ready").wait_for()
@@ -372,7 +372,7 @@ def test_a_press_during_which_an_answer_arrives_still_counts(page: Any, station:
     assert removing
     page.mouse.move(removing["x"] + 5, removing["y"] + 5)
     page.mouse.down()  # takes the focus from the field
-    let_go(page, kept, "set")
+    let_go(page, kept)
     wait_for(page, lambda: "mine" in station.read_text())
     page.wait_for_timeout(300)
     page.mouse.up()
@@ -387,7 +387,7 @@ def test_angles_typed_before_the_file_names_are_read_stay(page: Any) -> None:
     typed = page.get_by_label("Angle of pol_030.tif")
     typed.fill("33")
     typed.press("Tab")
-    let_go(page, kept, "angles")
+    let_go(page, kept)
     page.get_by_alt_text("Phase in a circle of colors").wait_for()
     assert page.get_by_label("Angle of pol_060.tif").input_value() == "60"
     assert typed.input_value() == "33"
@@ -409,7 +409,7 @@ def test_a_preview_of_another_folder_is_not_shown(page: Any) -> None:
     page.get_by_role("button", name="opened folder: museum").click()
     page.get_by_role("button", name="views (3 images)").click()
     page.locator("#preview .warning").wait_for()
-    let_go(page, kept, "preview")
+    let_go(page, kept)
     page.wait_for_timeout(300)
     assert page.locator("#preview .warning").count() == 1
 
@@ -429,7 +429,7 @@ def test_the_surface_shown_upon_the_image_is_that_of_the_station_file(page: Any,
         wait_for(page, lambda kept=kept: bool(kept))
         cameras.select_option("")
         page.locator("#plan", has_text="cannot run yet").wait_for()
-        let_go(page, kept, late)
+        let_go(page, kept)
         page.wait_for_timeout(300)
         assert not page.locator("#overlay-note").text_content() and page.locator("#overlay-stage").is_hidden()
         cameras.select_option("sparse")
@@ -710,7 +710,7 @@ def test_a_similar_color_that_is_found_late_is_not_painted_elsewhere(page: Any, 
     page.locator("#draw-stage").click(position={"x": 300, "y": 200})
     wait_for(page, lambda: bool(kept))
     page.locator("#draw-what").select_option("labels")
-    let_go(page, kept, "similar")
+    let_go(page, kept)
     wait_for(page, lambda: 'mask = "station_mask.png"' in station.read_text())
     page.locator("#tools select").wait_for()
     page.get_by_role("button", name="Save", exact=True).click()
