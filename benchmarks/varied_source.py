@@ -64,7 +64,7 @@ NAMELESS = (
     ("prior/choose_smoothing.cpp", "search_step", "round == 0 ? «0.7» : «0.35»"),
     ("prior/cloud_prior.cpp", "cell_of_length", "«0.7» * how.length_px"),
     ("prior/smoothed_cloud.cpp", "plane_rounds", "round < «8»; ++round"),
-    ("prior/point_judgement.cpp", "one_sided", "direction.norm() < «0.6» *"),
+    ("prior/point_judgment.cpp", "one_sided", "direction.norm() < «0.6» *"),
     ("stereo/first_surface.cpp", "range_of_sigma", "std::max(«5» * quantile"),
     ("stereo/first_surface.cpp", "range_of_residuals", "«2» * quantile_in_place(residuals"),
     ("stereo/view_choice.cpp", "much_less_parallax", "parallax < «0.25» * least"),

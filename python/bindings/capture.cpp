@@ -52,7 +52,7 @@ void bind_capture(py::module_& module) {
   module.def("demosaic_color", [](const Image<float>& mosaic, const std::string& colors, int threads) {
     ColorMosaic split =
         computed(threads, [&](const Context& context) { return demosaic_color(mosaic, colors, "mosaic", context); });
-    return std::pair(std::move(split.grey.channels), std::move(split.ratios));
+    return std::pair(std::move(split.gray.channels), std::move(split.ratios));
   });
 
   module.def("register_images", &register_arrays);

@@ -41,7 +41,7 @@ py::dict resected(const std::vector<std::string>& names, const Eigen::Matrix3Xd&
 
 void bind_io(py::module_& module) {
   py::dict meters;
-  for (const LengthUnit& unit : length_units) meters[py::str(std::string(unit.name))] = unit.metres;
+  for (const LengthUnit& unit : length_units) meters[py::str(std::string(unit.name))] = unit.meters;
   module.attr("length_units") = meters;
   module.attr("image_suffixes") = image_suffixes;
   module.attr("raw_suffixes") = raw_suffixes;

@@ -166,13 +166,11 @@ std::tuple<Eigen::VectorXi, Eigen::VectorXi, Eigen::VectorXd> sights(const Array
 void bind_view(py::module_& module) {
   py::class_<ArrayView>(module, "ObjectView")
       .def(py::init(&array_view))
-      .def_property_readonly("eye", [](const ArrayView& held) -> Eigen::Vector3d { return held.view.pose.centre(); })
+      .def_property_readonly("eye", [](const ArrayView& held) -> Eigen::Vector3d { return held.view.pose.center(); })
       .def("points_at", &points_at, WithoutGil())
       .def("sights", &sights, WithoutGil())
-      .def("may_see",
-           [](const ArrayView& held, const Eigen::Vector3d& low, const Eigen::Vector3d& high) {
-             return may_see(held.view, Eigen::AlignedBox3d(low, high));
-           })
+      .def("may_see", [](const ArrayView& held, const Eigen::Vector3d& low,
+                         const Eigen::Vector3d& high) { return may_see(held.view, Eigen::AlignedBox3d(low, high)); })
       .def("resolves_more",
            [](const ArrayView& held, const ArrayView& other) { return resolves_more(held.view, other.view); })
       .def("finer",

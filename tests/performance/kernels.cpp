@@ -75,7 +75,7 @@ void sinusoid_fit_and_zenith() {
     state = decompose(size, pixels, angles, {}, Mask(size, 1, 255), {}, {}, one_thread);
     return state.is_valid(100, 100);
   });
-  const Pinhole camera = scenes::centred_camera(size, 2000);
+  const Pinhole camera = scenes::centerd_camera(size, 2000);
   for (const bool specular : {false, true}) {
     ReflectionOptions options;
     options.reflection = specular ? ReflectionChoice::specular : ReflectionChoice::diffuse;
@@ -162,7 +162,7 @@ void fusion() {
 void mesh(const std::filesystem::path& folder) {
   using namespace scenes;
   const Size size{320, 240};
-  const Pinhole camera = centred_camera(size, 1000);
+  const Pinhole camera = centerd_camera(size, 1000);
   const FusedSurface surface = surface_of(size, 1000, [&](int u, int v) {
     return sphere_depth(camera, {0, 0, 900}, 400, u, v);
   });

@@ -226,19 +226,10 @@ BRITISH = re.compile(
 #: Exceptions: names from other projects, keys of existing files, and a key that is wrong on purpose.
 FOREIGN = re.compile(
     r"aria-labelledby|colour-science|COLOURCHECKERS|CancelledError|\"CANCELLED\"|\"millimetre\"|\w*centres?_world"
-    r"|world_centre_xy|sphere(?: = \{ |\.)centre|point_judgement|UNIT\[\"metre\""
+    r"|world_centre_xy|sphere(?: = \{ |\.)centre|UNIT\[\"metre\""
 )
 #: Where the package colour-science is used, whose module is `colour`.
 OF_COLOUR_SCIENCE = ("python/malus/chart.py", "tests/python/test_chart.py")
-
-
-def words_in(file: Path) -> str:
-    """Text of a file; for C++ only its comments and strings."""
-    text = file.read_text(encoding="utf-8")
-    if file.suffix not in (".h", ".cpp"):
-        return text
-    text = re.sub(r"^#include .*$", "", text, flags=re.MULTILINE)
-    return "\n".join(re.findall(r'//[^\n]*|"(?:\\.|[^"\\\n])*"', text))
 
 
 def tracked() -> list[Path]:
@@ -257,7 +248,7 @@ def test_words_are_spelled_the_american_way() -> None:
         name = file.relative_to(ROOT).as_posix()
         if file == Path(__file__) or name.startswith("LICENSE") or name in OF_COLOUR_SCIENCE:
             continue
-        found += [f"{name}: {match[0]}" for match in BRITISH.finditer(FOREIGN.sub("", words_in(file)))]
+        found += [f"{name}: {match[0]}" for match in BRITISH.finditer(FOREIGN.sub("", file.read_text(encoding="utf-8")))]
     assert not found
 
 

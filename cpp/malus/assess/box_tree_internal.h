@@ -49,10 +49,10 @@ class BoxTree {
     parallel_for(context, std::size_t{1} << level, 1, [&](std::size_t begin, std::size_t) {
       const auto at = [&](std::size_t i) { return order_.begin() + static_cast<std::ptrdiff_t>(i); };
       const auto low = at(first(level, begin)), high = at(first(level, begin + 1));
-      Eigen::AlignedBox3d centres;
-      for (auto i = low; i != high; ++i) centres.extend(box_of(*i).center());
+      Eigen::AlignedBox3d centers;
+      for (auto i = low; i != high; ++i) centers.extend(box_of(*i).center());
       Eigen::Index axis = 0;
-      centres.sizes().maxCoeff(&axis);
+      centers.sizes().maxCoeff(&axis);
       std::nth_element(low, at(first(level + 1, 2 * begin + 1)), high, [&](std::uint32_t a, std::uint32_t b) {
         return box_of(a).center()[axis] < box_of(b).center()[axis];
       });

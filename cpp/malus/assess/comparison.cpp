@@ -91,13 +91,13 @@ SimilarityTransform compose(const SimilarityTransform& next, const SimilarityTra
 }
 
 /// Small motion about a center: rotation vector, translation and log of the scale, the latter two in units of `extent`.
-SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& centre, double extent) {
+SimilarityTransform small_motion(const Vector7& step, const Eigen::Vector3d& center, double extent) {
   SimilarityTransform motion;
   motion.scale = std::exp(step[6]);
   const Eigen::Vector3d turn = step.head<3>();
   const Eigen::Matrix3d rotation = Eigen::AngleAxisd(turn.norm(), turn.stableNormalized()).toRotationMatrix();
   Eigen::Map<RowMajor>(motion.rotation.data()) = rotation;
-  motion.translation = centre + extent * step.segment<3>(3) - motion.scale * rotation * centre;
+  motion.translation = center + extent * step.segment<3>(3) - motion.scale * rotation * center;
   return motion;
 }
 
@@ -135,14 +135,14 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
     icp.too_few_near = distances.size() < fewest_to_align;
     if (icp.too_few_near) break;
     ++icp.iterations;
-    const Eigen::Vector3d centre = box.center();
+    const Eigen::Vector3d center = box.center();
     const double extent = 0.5 * box.diagonal().norm();
     const double limit = std::max(4.685 * robust_sigma(distances), 1e-12 * extent);
     Matrix7 normal_matrix = Matrix7::Zero();
     Vector7 right_side = Vector7::Zero();
     for (std::size_t i = 0; i < points.size(); ++i) {
       if (!feet[i] || std::abs(feet[i]->signed_distance) >= limit) continue;
-      const Eigen::Vector3d x = (icp.reference_from_surface.apply(points[i]) - centre) / extent;
+      const Eigen::Vector3d x = (icp.reference_from_surface.apply(points[i]) - center) / extent;
       const Eigen::Vector3d& n = feet[i]->normal;
       const double residual = n.dot(icp.reference_from_surface.apply(points[i]) - feet[i]->point) / extent;
       const double weight = std::pow(1 - std::pow(feet[i]->signed_distance / limit, 2), 2);
@@ -152,9 +152,9 @@ PointAlignment align(std::span<const Eigen::Vector3d> points, const ReferenceSur
       right_side -= weight * residual * row;
     }
     const Vector7 step = solve_observable(normal_matrix, right_side, unknowns);
-    icp.reference_from_surface = compose(small_motion(step, centre, extent), icp.reference_from_surface);
+    icp.reference_from_surface = compose(small_motion(step, center, extent), icp.reference_from_surface);
     // Far from the origin the motion itself is rounded by more than that.
-    const double rounding = 8 * std::numeric_limits<double>::epsilon() * centre.norm() / extent;
+    const double rounding = 8 * std::numeric_limits<double>::epsilon() * center.norm() / extent;
     icp.converged = step.norm() < std::max(1e-8, rounding);
     context.progress("assess", 0.6, "aligning with the reference, step " + std::to_string(icp.iterations));
   }
@@ -167,7 +167,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
                                            const AssessOptions& options, const Context& context) {
   validate_fields(options, "assess");
   require_size(surface.depth, surface.camera.size, "the depth map");
-  const ReferenceSurface target(reference, surface.pose.centre(), options.reference_neighbors, context);
+  const ReferenceSurface target(reference, surface.pose.center(), options.reference_neighbors, context);
   const double max_distance = options.max_distance_gsd * gsd;
   ReferenceComparison result;
   result.alignment = options.alignment;

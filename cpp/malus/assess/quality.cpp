@@ -164,9 +164,9 @@ HeightFigures describe_height(const HeightMap& height) {
 
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context) {
   std::vector<double> depths;
-  const int centre_u = depth.width() / 2, centre_v = depth.height() / 2;
-  const PixelRect centre{centre_u, centre_v, centre_u + 1, centre_v + 1};
-  for_each_pixel(centre.grown(2, depth.size()), [&](int u, int v) {
+  const int center_u = depth.width() / 2, center_v = depth.height() / 2;
+  const PixelRect center{center_u, center_v, center_u + 1, center_v + 1};
+  for_each_pixel(center.grown(2, depth.size()), [&](int u, int v) {
     if (std::isfinite(depth(u, v))) depths.push_back(depth(u, v));
   });
   if (!depths.empty()) return percentile_in_place(depths, 0.5) / camera.focal();

@@ -144,31 +144,31 @@ std::optional<Foot> ReferenceSurface::foot_on_cloud(const Eigen::Vector3d& point
       });
   std::sort(nearest.begin(), nearest.end());
   if (nearest.size() < 3 || nearest.front().first > max_distance * max_distance) return std::nullopt;
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-  for (const auto& [distance, i] : nearest) centre += points[i] / static_cast<double>(nearest.size());
+  Eigen::Vector3d center = Eigen::Vector3d::Zero();
+  for (const auto& [distance, i] : nearest) center += points[i] / static_cast<double>(nearest.size());
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const auto& [distance, i] : nearest) scatter += (points[i] - centre) * (points[i] - centre).transpose();
+  for (const auto& [distance, i] : nearest) scatter += (points[i] - center) * (points[i] - center).transpose();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);
   // Far beyond a border the nearest points follow the border, and a line has no normal.
   constexpr double of_line = 0.05;
   const bool on_line = nearest.size() > 2 && axes.eigenvalues()[1] < of_line * axes.eigenvalues()[2];
   Eigen::Vector3d normal = axes.eigenvectors().col(0);
   const std::vector<Eigen::Vector3f>& normals = geometry_.vertices.normals;
-  Eigen::Vector3d outward = viewpoint_ - centre;
+  Eigen::Vector3d outward = viewpoint_ - center;
   // A point without a normal in a cloud that has them has the normal 0.
   if (!normals.empty() && normals[nearest.front().second].squaredNorm() > 0)
     outward = normals[nearest.front().second].cast<double>();
   if (normal.dot(outward) < 0) normal = -normal;
-  const double distance = normal.dot(point - centre);
+  const double distance = normal.dot(point - center);
   const Eigen::Vector3d foot = point - distance * normal;
   double farthest = 0;  // along the plane
   for (const auto& [squared, i] : nearest)
-    farthest = std::max(farthest, (points[i] - centre - normal.dot(points[i] - centre) * normal).norm());
+    farthest = std::max(farthest, (points[i] - center - normal.dot(points[i] - center) * normal).norm());
   const double along = axes.eigenvalues()[1];
   return Foot{foot,
               normal,
               distance,
-              on_line || (foot - centre).norm() > farthest,
+              on_line || (foot - center).norm() > farthest,
               along > 0 ? axes.eigenvalues()[0] / along : 0,
               nearest.front().first < farthest * farthest,
               on_line};

@@ -187,15 +187,15 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
     color = Image<float>(mosaic.size(), 3);
     for (std::size_t i = 0; i < mosaic.count(); ++i) {
       float mean = 0, factor = 0;
-      for (const Image<float>& channel : split.grey.channels) mean += 0.25f * channel[i];
+      for (const Image<float>& channel : split.gray.channels) mean += 0.25f * channel[i];
       for (std::size_t c = 0; c < 3; ++c) {
         color[3 * i + c] = split.ratios[c][i] * mean;
         factor += static_cast<float>(weights[c]) * split.ratios[c][i];
       }
-      for (Image<float>& channel : split.grey.channels) channel[i] *= factor;
+      for (Image<float>& channel : split.gray.channels) channel[i] *= factor;
     }
-    std::ranges::move(split.grey.channels, exposures.images.begin());
-    shared = std::move(split.grey.shared);
+    std::ranges::move(split.gray.channels, exposures.images.begin());
+    shared = std::move(split.gray.shared);
     // Users select a single color because the colors are polarized differently.
     if (of_one_color) {
       MosaicSplit plane = demosaic(split_colors(mosaic, *spec.mosaic_colors, name, context)[single], name, context);

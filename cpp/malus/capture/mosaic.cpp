@@ -218,13 +218,13 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors
     for (std::size_t c = 0; c < 3; ++c) {
       result.ratios[c] = color_ratio(mosaic, expected, colors, "RGB"[c], cells);
     }
-    Image<float> grey(size);
+    Image<float> gray(size);
     parallel_pixels(context, size, [&](int u, int v) {
       const std::size_t c = std::string_view("RGB").find(color_at(colors, u, v));
-      grey(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
+      gray(u, v) = mosaic(u, v) / std::max(result.ratios[c](u, v), smallest_ratio);
     });
-    result.grey = demosaic(grey, name, context);
-    parallel_pixels(context, size, [&](int u, int v) { expected(u, v) = result.grey.channels[cell_of(u, v)](u, v); });
+    result.gray = demosaic(gray, name, context);
+    parallel_pixels(context, size, [&](int u, int v) { expected(u, v) = result.gray.channels[cell_of(u, v)](u, v); });
   }
   return result;
 }

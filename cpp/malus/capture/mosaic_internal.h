@@ -39,7 +39,7 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
 /// A color polarization camera's mosaic: intensities behind the polarizers in the order of the cell, free of color, and
 /// each color's brightness relative to them (R, G, B).
 struct ColorMosaic {
-  MosaicSplit grey;
+  MosaicSplit gray;
   std::array<Image<float>, 3> ratios;
 };
 

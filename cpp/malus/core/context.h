@@ -46,10 +46,10 @@ struct Context {
   void validate() const {
     if (threads < 1) throw input_error("threads = " + std::to_string(threads) + ", expected at least 1");
   }
-  bool cancelled() const { return cancel != nullptr && cancel->load(std::memory_order_relaxed); }
+  bool canceled() const { return cancel != nullptr && cancel->load(std::memory_order_relaxed); }
   /// Throws ErrorCode::interrupted if the user asked to stop. Called at least every half second of work.
   void check_cancel() const {
-    if (cancelled()) throw Error(ErrorCode::interrupted, "interrupted");
+    if (canceled()) throw Error(ErrorCode::interrupted, "interrupted");
   }
 };
 

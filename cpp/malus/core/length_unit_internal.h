@@ -11,7 +11,7 @@ namespace malus {
 /// A length unit that a station may use.
 struct LengthUnit {
   std::string_view name;
-  double metres = 1;
+  double meters = 1;
   int epsg = 0;  ///< code of the unit in the EPSG registry; 0 = it has none
 };
 

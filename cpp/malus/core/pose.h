@@ -20,7 +20,7 @@ struct Pose {
     return rotation.transpose() * (x_in_cam - translation);
   }
   /// Projection center in the world.
-  Eigen::Vector3d centre() const { return -rotation.transpose() * translation; }
+  Eigen::Vector3d center() const { return -rotation.transpose() * translation; }
 };
 
 }  // namespace malus

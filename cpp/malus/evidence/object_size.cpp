@@ -25,13 +25,13 @@ constexpr double narrowest_deg = 0.3, widest_deg = 140;
 constexpr double largest_rounding_deg = 0.5;
 
 /// A length with three digits in a unit that suits it.
-std::string in_words(double metres) {
-  const double size = std::abs(metres);
+std::string in_words(double meters) {
+  const double size = std::abs(meters);
   const auto [scale, name] = size < 1e-3   ? std::pair(1e6, "µm")
                              : size < 0.5  ? std::pair(1e3, "mm")
                              : size < 2000 ? std::pair(1.0, "m")
                                            : std::pair(1e-3, "km");
-  return with_digits(metres * scale, 3) + " " + name;
+  return with_digits(meters * scale, 3) + " " + name;
 }
 
 double range_of(std::vector<double> values) {
@@ -82,9 +82,9 @@ double turn_by_rounding_deg(double depth, double gsd) {
 /// A unit in which size and distance would be usual, millimeters and meters first.
 std::optional<std::string> likelier_unit(double width, double distance, const std::string& unit) {
   for (const char* const name : {"mm", "m", "cm", "um"}) {
-    const double metres = length_unit(name).metres;
-    if (name != unit && width * metres >= usual_smallest_m && width * metres <= usual_largest_m &&
-        distance * metres >= usual_smallest_m && distance * metres <= usual_largest_m)
+    const double meters = length_unit(name).meters;
+    if (name != unit && width * meters >= usual_smallest_m && width * meters <= usual_largest_m &&
+        distance * meters >= usual_smallest_m && distance * meters <= usual_largest_m)
       return name;
   }
   return std::nullopt;
@@ -105,15 +105,15 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
   const double in_the_middle = middle_depth(points_in_cam, camera);
   size.gsd = (std::isnan(in_the_middle) ? size.distance : in_the_middle) / camera.focal();
 
-  const double metres = length_unit(unit).metres, larger = std::max(size.width, size.height);
+  const double meters = length_unit(unit).meters, larger = std::max(size.width, size.height);
   Finding& finding = size.finding;
   finding.check = "size";
-  finding.message = "the object is " + in_words(size.width * metres) + " wide and " + in_words(size.height * metres) +
-                    " high, " + in_words(size.distance * metres) + " from the camera; one pixel is " +
-                    in_words(size.gsd * metres);
+  finding.message = "the object is " + in_words(size.width * meters) + " wide and " + in_words(size.height * meters) +
+                    " high, " + in_words(size.distance * meters) + " from the camera; one pixel is " +
+                    in_words(size.gsd * meters);
   finding.figures = {{"width", size.width}, {"height", size.height}, {"distance", size.distance}, {"gsd", size.gsd}};
   const double view_deg = to_degrees(2 * std::atan(0.5 * camera.size.width / camera.fx));
-  if (!is_likely(larger * metres, size.distance * metres)) {
+  if (!is_likely(larger * meters, size.distance * meters)) {
     finding.severity = Severity::warning;
     const auto other = likelier_unit(larger, size.distance, unit);
     finding.message += ": that is unlikely";

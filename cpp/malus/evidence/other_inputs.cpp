@@ -121,7 +121,7 @@ std::vector<MovedCloud> moved_clouds(const PointCloud& cloud, const Pose& pose, 
   std::vector<MovedCloud> result;
   for (const LengthUnit& other : length_units) {
     if (other.name == unit) continue;
-    const double scale = other.metres / length_unit(unit).metres;
+    const double scale = other.meters / length_unit(unit).meters;
     std::ostringstream text;
     text << "the cloud is in " << other.name << " and the camera in " << unit << " (a factor of " << scale << ")";
     result.push_back({text.str(), "give cloud and camera in the same unit", given * Eigen::Scaling(scale),

@@ -128,12 +128,12 @@ SceneView scene_view(const AlignmentScene& images, int factor, const Context& co
 }
 
 Pinhole reduced_camera(const Pinhole& camera, int factor) {
-  const auto centre = [factor](double c) { return (c + 0.5) / factor - 0.5; };
+  const auto center = [factor](double c) { return (c + 0.5) / factor - 0.5; };
   return {{std::max(camera.size.width / factor, 1), std::max(camera.size.height / factor, 1)},
           camera.fx / factor,
           camera.fy / factor,
-          centre(camera.cx),
-          centre(camera.cy)};
+          center(camera.cx),
+          center(camera.cy)};
 }
 
 PriorView prior_view(const PointCloud& cloud, const Pinhole& camera, const Eigen::Affine3d& cam_from_cloud) {

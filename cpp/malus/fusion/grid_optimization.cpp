@@ -17,7 +17,7 @@
 #include "malus/fusion/grid_optimization_internal.h"
 #include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
-#include "malus/linalg/stop_when_cancelled_internal.h"
+#include "malus/linalg/stop_when_canceled_internal.h"
 #include "malus/polarization/ray_frame.h"
 
 namespace malus {
@@ -121,7 +121,7 @@ class GridTile {
     how.function_tolerance = 1e-4;
     how.num_threads = 1;
     how.logging_type = ceres::SILENT;
-    StopWhenCancelled stop(context);
+    StopWhenCanceled stop(context);
     how.callbacks.push_back(&stop);
     ceres::Solver::Summary summary;
     const SequentialBlas sequential;  // tiles are the unit of parallelism

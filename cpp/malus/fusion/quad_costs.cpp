@@ -19,12 +19,12 @@ std::vector<QuadIndex> existing(const RefinementField& field, std::vector<QuadIn
 }
 
 /// The nodes around a quad by their position relative to its first node, −2 … 3, with their parameter blocks.
-class Neighbourhood {
+class Neighborhood {
  public:
   static constexpr int first = -quad_px, side = 3 * quad_px;
 
-  Neighbourhood(const RefinementField& field, QuadIndex quad, const std::vector<QuadIndex>& quads,
-                double const* const* parameters)
+  Neighborhood(const RefinementField& field, QuadIndex quad, const std::vector<QuadIndex>& quads,
+               double const* const* parameters)
       : u0_(quad_px * quad.column), v0_(quad_px * quad.row) {
     for (std::size_t k = 0; k < quads.size(); ++k) {
       for_each_node(field, quads[k], [&](int u, int v, int i) {
@@ -59,7 +59,7 @@ class Neighbourhood {
 class NodeSlopes {
  public:
   /// The pixel is at (du, dv) relative to the quad's first node.
-  NodeSlopes(const RefinementField& field, const Neighbourhood& around, int du, int dv)
+  NodeSlopes(const RefinementField& field, const Neighborhood& around, int du, int dv)
       : du_(du),
         dv_(dv),
         exists_(around.has(du, dv) && around.has(du + 1, dv) && around.has(du, dv + 1) && around.has(du + 1, dv + 1)),
@@ -77,7 +77,7 @@ class NodeSlopes {
   double q() const { return slopes_.q; }
 
   /// Adds the derivatives of a residual by the nodes, from its derivatives by the slopes.
-  void add(double** jacobians, int residual, double by_p, double by_q, const Neighbourhood& around) const {
+  void add(double** jacobians, int residual, double by_p, double by_q, const Neighborhood& around) const {
     const double by_u = 0.5 * (by_p * affine_.per_u.p + by_q * affine_.per_u.q),
                  by_v = 0.5 * (by_p * affine_.per_v.p + by_q * affine_.per_v.q);
     around.add(jacobians, residual, du_, dv_, -by_u - by_v);
@@ -139,7 +139,7 @@ StokesCost::StokesCost(const RefinementField& field, int u, int v)
     : QuadCost(field, quads_after(u, v, 1), field.reflection.metal_error > 0 ? 3 : 2), u_(u), v_(v) {}
 
 void StokesCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const Neighborhood around(field_, quads_.front(), quads_, parameters);
   const NodeSlopes slopes(field_, around, u_ % quad_px, v_ % quad_px);
   if (!slopes.exists()) return;
   const double root = std::sqrt(static_cast<double>(field_.stokes_precision(u_, v_)));
@@ -166,7 +166,7 @@ void StokesLoss::Evaluate(double squared, double rho[3]) const {
 OutsideCost::OutsideCost(const RefinementField& field, QuadIndex quad) : QuadCost(field, {quad}, quad_values) {}
 
 void OutsideCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const Neighborhood around(field_, quads_.front(), quads_, parameters);
   for (int pixel = 0; pixel < quad_values; ++pixel) {
     if (around.has(pixel % quad_px, pixel / quad_px)) continue;
     residuals[pixel] = parameters[0][pixel];
@@ -182,7 +182,7 @@ SmoothnessCost::SmoothnessCost(const RefinementField& field, QuadIndex quad, Axi
     : QuadCost(field, {quad, next_quad(quad, axis)}, 2 * quad_px), axis_(axis), weight_(weight) {}
 
 void SmoothnessCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const Neighborhood around(field_, quads_.front(), quads_, parameters);
   const auto change = [&](int du, int dv) { return around.value(du, dv) - field_.x_prior(around.u(du), around.v(dv)); };
   const int step_u = axis_ == Axis::u, step_v = axis_ == Axis::v;
   int residual = 0;
@@ -205,7 +205,7 @@ SlopeChangeCost::SlopeChangeCost(const RefinementField& field, int u, int v, dou
     : QuadCost(field, quads_after(u, v, 1), 2), u_(u), v_(v), weight_(weight) {}
 
 void SlopeChangeCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const Neighborhood around(field_, quads_.front(), quads_, parameters);
   const int du = u_ % quad_px, dv = v_ % quad_px;
   for (int residual = 0; residual < 2; ++residual) {
     const int step_u = residual == 0 ? 1 : 0, step_v = 1 - step_u;
@@ -222,7 +222,7 @@ AlbedoCost::AlbedoCost(const RefinementField& field, int u, int v)
     : QuadCost(field, quads_after(u, v, 2), 2), u_(u), v_(v) {}
 
 void AlbedoCost::evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  const Neighbourhood around(field_, quads_.front(), quads_, parameters);
+  const Neighborhood around(field_, quads_.front(), quads_, parameters);
   const int du = u_ % quad_px, dv = v_ % quad_px;
   const double root = std::sqrt(field_.albedo_weight);
   const NodeSlopes here(field_, around, du, dv);

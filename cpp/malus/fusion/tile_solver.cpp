@@ -111,7 +111,7 @@ class TileProblem {
    public:
     StopAfter(int steps, const Context& context) : steps_(steps), context_(context) {}
     ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
-      if (context_.cancelled()) return ceres::SOLVER_ABORT;
+      if (context_.canceled()) return ceres::SOLVER_ABORT;
       if (iteration.iteration > 0 && iteration.step_is_successful) {
         ++accepted_;
         cost_change_ += iteration.cost_change;

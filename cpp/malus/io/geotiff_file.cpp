@@ -93,7 +93,7 @@ void write_geo_keys(TIFF* tiff, const PlaneReference& reference) {
   rows.push_back({vertical_units, 0, 1, unit});
   rows.front()[3] = static_cast<std::uint16_t>(rows.size() - 1);
   TIFFSetField(tiff, tag_geo_keys, static_cast<int>(4 * rows.size()), rows.front().data());
-  if (!has_code) TIFFSetField(tiff, tag_geo_doubles, 1, &reference.unit.metres);
+  if (!has_code) TIFFSetField(tiff, tag_geo_doubles, 1, &reference.unit.meters);
   TIFFSetField(tiff, tag_geo_ascii, title.c_str());
 }
 

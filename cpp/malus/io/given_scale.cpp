@@ -33,7 +33,7 @@ Eigen::Vector3d meeting_point(const std::vector<ImageMark>& marks, const ColmapM
         (image.pose.rotation.transpose() * Eigen::Vector3d(ideal.x(), ideal.y(), 1)).normalized();
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();
     matrix += across;
-    right += across * image.pose.centre();
+    right += across * image.pose.center();
   }
   const Eigen::Vector3d values = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(matrix).eigenvalues();
   if (!(values[0] > least_parallax * values[2]))

@@ -88,15 +88,15 @@ using Float3 = std::array<float, 3>;
 /// Positions in meters about the middle of their bounding box.
 class Positions {
  public:
-  Positions(const std::vector<Eigen::Vector3d>& points, double metres) : metres_(metres) {
+  Positions(const std::vector<Eigen::Vector3d>& points, double meters) : meters_(meters) {
     Eigen::AlignedBox3d box;
     for (const Eigen::Vector3d& x : points) box.extend(x);
-    middle = 0.5 * metres * (box.min() + box.max());
+    middle = 0.5 * meters * (box.min() + box.max());
     low = (*this)(box.min());
     high = (*this)(box.max());
   }
   Float3 operator()(const Eigen::Vector3d& x) const {
-    const Eigen::Vector3f about = (metres_ * x - middle).cast<float>();
+    const Eigen::Vector3f about = (meters_ * x - middle).cast<float>();
     return {about.x(), about.y(), about.z()};
   }
 
@@ -104,7 +104,7 @@ class Positions {
   Float3 low, high;
 
  private:
-  double metres_;
+  double meters_;
 };
 
 Float2 texture_coordinate(const Eigen::Vector3d& x, const ProjectedTexture& texture) {
@@ -122,17 +122,17 @@ Float3 unit_normal(const Eigen::Vector3f& normal) {
 }
 
 /// Column-major matrix of the camera node: glTF cameras look along −z with y up.
-GltfJson camera_matrix(const Pose& pose, double metres) {
+GltfJson camera_matrix(const Pose& pose, double meters) {
   Eigen::Matrix4d world_from_gl = Eigen::Matrix4d::Identity();
   world_from_gl.topLeftCorner<3, 3>() = pose.rotation.transpose() * Eigen::Vector3d(1, -1, -1).asDiagonal();
-  world_from_gl.topRightCorner<3, 1>() = metres * pose.centre();
+  world_from_gl.topRightCorner<3, 1>() = meters * pose.center();
   return std::vector<double>(world_from_gl.data(), world_from_gl.data() + world_from_gl.size());
 }
 
 GltfJson document(const TriangleMesh& mesh, const ProjectedTexture& texture, const LengthUnit& unit,
                   const std::string& name, Buffer& buffer) {
   const std::size_t count = mesh.vertices.points.size();
-  const Positions positions(mesh.vertices.points, unit.metres);
+  const Positions positions(mesh.vertices.points, unit.meters);
   GltfJson accessors = GltfJson::array(), attributes;
   GltfJson position =
       accessor(buffer.add_records(mesh.vertices.points, target_vertices, positions), type_float, "VEC3", count);
@@ -161,7 +161,7 @@ GltfJson document(const TriangleMesh& mesh, const ProjectedTexture& texture, con
                                });
 
   const Pinhole& camera = texture.camera;
-  const double distance = unit.metres * (texture.pose.centre() - positions.middle / unit.metres).norm();
+  const double distance = unit.meters * (texture.pose.center() - positions.middle / unit.meters).norm();
   return {
       {"asset", {{"version", "2.0"}, {"generator", std::string("Malus ") + version}}},
       {"scene", 0},
@@ -170,7 +170,7 @@ GltfJson document(const TriangleMesh& mesh, const ProjectedTexture& texture, con
        {{{"name", name},
          {"mesh", 0},
          {"translation", {positions.middle.x(), positions.middle.y(), positions.middle.z()}}},
-        {{"name", "station"}, {"camera", 0}, {"matrix", camera_matrix(texture.pose, unit.metres)}}}},
+        {{"name", "station"}, {"camera", 0}, {"matrix", camera_matrix(texture.pose, unit.meters)}}}},
       {"cameras",
        {{{"name", "station"},
          {"type", "perspective"},

@@ -164,22 +164,22 @@ Mask read_mask(const std::filesystem::path& path) {
   const Image<float> pixels = brightest_over_black(read_pixels(path, "mask", codecs::Alpha::kept).pixels);
   // Photographs have more gray than the soft edges of a drawn mask, and more values than label images. After JPEG
   // compression, black and white change by less than a tenth of the range.
-  constexpr double largest_grey_share = 0.05, black_below = 0.1, white_above = 0.9;
+  constexpr double largest_gray_share = 0.05, black_below = 0.1, white_above = 0.9;
   constexpr std::size_t few_values = 16;
   const float largest = *std::ranges::max_element(pixels);
   if (!(largest > 0))
     throw input_error(name_of("mask", path) + " is black everywhere, expected white where the object is");
-  std::size_t grey = 0;
+  std::size_t gray = 0;
   std::set<float> values;
   for (const float value : pixels) {
     if (values.size() <= few_values) values.insert(value);
-    grey += value > black_below * largest && value < white_above * largest;
+    gray += value > black_below * largest && value < white_above * largest;
   }
-  const double grey_share = static_cast<double>(grey) / static_cast<double>(pixels.count());
+  const double gray_share = static_cast<double>(gray) / static_cast<double>(pixels.count());
   const bool has_soft_edges = values.size() > few_values;
-  if (grey_share > largest_grey_share && has_soft_edges) {
+  if (gray_share > largest_gray_share && has_soft_edges) {
     throw input_error(name_of("mask", path) +
-                      " looks like a photograph: " + std::to_string(std::lround(100 * grey_share)) +
+                      " looks like a photograph: " + std::to_string(std::lround(100 * gray_share)) +
                       " % of its pixels are neither black nor white, expected black, and white where the object is");
   }
   // Around an object JPEG compression leaves pixels that are nearly black; a small number in a label image is a label.

@@ -121,7 +121,7 @@ double center_sigma(const Marked& marked, const Solution& solution, double mark_
     const auto moved = [&](double by) {
       Solution other{solution.turn.clone(), solution.shift.clone()};
       (k < 3 ? other.turn : other.shift).at<double>(k % 3) += by;
-      return pose_of(other, Eigen::Vector3d::Zero()).centre();
+      return pose_of(other, Eigen::Vector3d::Zero()).center();
     };
     center_by_pose.col(k) = (moved(step) - moved(-step)) / (2 * step);
   }

@@ -12,8 +12,8 @@
 namespace malus {
 namespace {
 
-/// Standard deviation (GSD) of the second differences of a pixel's move across the surface: that of a slope which changes
-/// by .4 over the length that shares errors, but at most 0.3. Small pixels see less bend (decision 121).
+/// Standard deviation (GSD) of the second differences of a pixel's move across the surface: that of a slope which
+/// changes by .4 over the length that shares errors, but at most 0.3. Small pixels see less bend (decision 121).
 constexpr double bend_of_shared = 0.4, most_bend_gsd = 0.3;
 /// Standard deviation of the sine between a normal and a phase's plane: a constant for interreflections, and a part
 /// divided by the degree.
@@ -35,7 +35,7 @@ struct CellPlace {
 
 std::vector<CellPlace> cell_places(const SurfaceCells& cells, std::size_t begin, std::size_t end) {
   const Eigen::VectorXd none = Eigen::VectorXd::Zero(cells.unknowns());
-  const Eigen::Vector3d eye = cells.view().pose.centre();
+  const Eigen::Vector3d eye = cells.view().pose.center();
   std::vector<CellPlace> places;
   for (int i = static_cast<int>(begin); i < static_cast<int>(end); ++i) {
     if (!cells.begins_cell(i)) continue;

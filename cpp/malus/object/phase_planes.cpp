@@ -59,7 +59,7 @@ PhasePlanes phase_planes(const PhasedView& station, const Eigen::Vector3d& point
   const double angle = std::atan2(sine, cosine) / 2;  // counter-clockwise as displayed, v down
   const Pose& pose = station.view.pose;
   const Eigen::Vector3d along = pose.rotation.transpose() * Eigen::Vector3d(std::cos(angle), -std::sin(angle), 0);
-  const Eigen::Vector3d ray = (point - pose.centre()).normalized();
+  const Eigen::Vector3d ray = (point - pose.center()).normalized();
   return {std::hypot(cosine, sine), {ray.cross(along).normalized(), (along - along.dot(ray) * ray).normalized()}};
 }
 

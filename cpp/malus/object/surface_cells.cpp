@@ -27,7 +27,7 @@ bool is_cell(const ObjectView& view, int u, int v) {
 }
 
 Eigen::Vector3d from_eye(const ObjectView& view, int u, int v) {
-  return point_at(view, u, v) - view.pose.centre();
+  return point_at(view, u, v) - view.pose.center();
 }
 
 SurfaceCells::SurfaceCells(const ObjectView& view, const PixelRect& window) : view_(&view) {

@@ -64,7 +64,7 @@ std::optional<Meeting> meet(const ObjectView& view, const Eigen::Vector3d& point
 }
 
 double facing(const ObjectView& view, const Eigen::Vector3d& point, const Eigen::Vector3d& normal) {
-  const Eigen::Vector3d to_eye = view.pose.centre() - point;
+  const Eigen::Vector3d to_eye = view.pose.center() - point;
   return normal.dot(to_eye) / to_eye.norm();
 }
 

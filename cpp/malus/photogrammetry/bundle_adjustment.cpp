@@ -11,7 +11,7 @@
 #include "malus/core/error.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
-#include "malus/linalg/stop_when_cancelled_internal.h"
+#include "malus/linalg/stop_when_canceled_internal.h"
 #include "malus/photogrammetry/bundle_adjustment_internal.h"
 
 namespace malus {
@@ -43,8 +43,8 @@ struct PoseUnknowns {
   std::array<double, 6> values{};
 
   explicit PoseUnknowns(const Pose& pose) : start(pose.rotation) {
-    const Eigen::Vector3d centre = pose.centre();
-    std::copy_n(centre.data(), 3, values.begin() + 3);
+    const Eigen::Vector3d center = pose.center();
+    std::copy_n(center.data(), 3, values.begin() + 3);
   }
   Pose pose() const {
     Pose result;
@@ -180,7 +180,7 @@ std::pair<std::size_t, int> datum_of_scale(const Bundle& bundle, const std::set<
   std::size_t farthest = first;
   Eigen::Vector3d base = Eigen::Vector3d::Zero();
   for (const std::size_t k : views) {
-    const Eigen::Vector3d other = bundle.views[k].pose.centre() - bundle.views[first].pose.centre();
+    const Eigen::Vector3d other = bundle.views[k].pose.center() - bundle.views[first].pose.center();
     if (other.norm() > base.norm()) {
       base = other;
       farthest = k;
@@ -274,7 +274,7 @@ BundleReport adjust_bundle(Bundle& bundle, const Context& context) {
   options.initial_trust_region_radius = 1e8;
   options.num_threads = std::max(1, context.threads);
   options.logging_type = ceres::SILENT;
-  StopWhenCancelled stop(context);
+  StopWhenCanceled stop(context);
   options.callbacks.push_back(&stop);
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);

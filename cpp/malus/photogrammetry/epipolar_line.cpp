@@ -10,7 +10,7 @@ std::vector<Eigen::Vector2d> epipolar_line(const LensCamera& camera, const Pose&
   constexpr int points = 400;
   constexpr double nearest = 0.1, farthest = 1000, same_direction = 1e-3;
   const Eigen::Vector3d direction = camera.undistort(pixel).homogeneous().normalized();
-  const double base = (other_pose.centre() - pose.centre()).norm();
+  const double base = (other_pose.center() - pose.center()).norm();
   std::vector<Eigen::Vector2d> line;
   if (!(base > 0)) return line;
   for (int k = 0; k < points; ++k) {

@@ -131,7 +131,7 @@ std::size_t reference_of(const Arrays& arrays, std::size_t point, const Eigen::V
   double largest = -1;
   for (const TieObservation& seen : arrays.keypoints[point]) {
     if (seen.view == preferred) return preferred;
-    const double cosine = std::abs((arrays.views[seen.view].pose.centre() - position).normalized().dot(normal));
+    const double cosine = std::abs((arrays.views[seen.view].pose.center() - position).normalized().dot(normal));
     if (cosine > largest) {
       largest = cosine;
       best = seen.view;

@@ -151,7 +151,7 @@ Eigen::Vector3d intersect_rays(std::span<const MarkedView> views, std::span<cons
     directions.push_back((view.pose.rotation.transpose() * ray).normalized());
     const Eigen::Matrix3d off_ray = Eigen::Matrix3d::Identity() - directions.back() * directions.back().transpose();
     across += off_ray;
-    right += off_ray * view.pose.centre();
+    right += off_ray * view.pose.center();
   }
   double widest = 0;
   for (const Eigen::Vector3d& direction : directions) {

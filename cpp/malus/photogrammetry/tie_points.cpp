@@ -32,7 +32,7 @@ constexpr double least_contrast = 0.01;
 /// Position of a window in an image: pixel = shape · offset + center.
 struct Placement {
   Eigen::Matrix2d shape = Eigen::Matrix2d::Identity();
-  Eigen::Vector2d centre = Eigen::Vector2d::Zero();
+  Eigen::Vector2d center = Eigen::Vector2d::Zero();
 };
 
 struct Sample {
@@ -82,13 +82,13 @@ struct Window {
 };
 
 /// Intensities of the window in the reference; empty if the window leaves the image or has no contrast.
-std::vector<double> reference_values(const Image<float>& image, const Eigen::Vector2d& centre, const Window& window) {
+std::vector<double> reference_values(const Image<float>& image, const Eigen::Vector2d& center, const Window& window) {
   std::vector<double> values;
   values.reserve(window.offsets.size());
   double weight = 0, sum = 0, squares = 0;
   Sample at;
   for (std::size_t k = 0; k < window.offsets.size(); ++k) {
-    if (!sample(image, centre + window.offsets[k], at)) return {};
+    if (!sample(image, center + window.offsets[k], at)) return {};
     values.push_back(at.value);
     weight += window.weights[k];
     sum += window.weights[k] * at.value;
@@ -116,7 +116,7 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     Sample at;
     for (std::size_t k = 0; k < window.offsets.size(); ++k) {
       const Eigen::Vector2d& d = window.offsets[k];
-      if (!sample(image, placed.shape * d + placed.centre, at)) return std::nullopt;
+      if (!sample(image, placed.shape * d + placed.center, at)) return std::nullopt;
       // By the columns of the shape, the center, gain and offset.
       Vector8d row;
       row << at.gradient * d.x(), at.gradient * d.y(), at.gradient, -reference[k], -1;
@@ -145,15 +145,15 @@ std::optional<Match> match(const Image<float>& image, const Placement& start, co
     variance = std::max(squares + step.dot(normal * step) - 2 * right.dot(step), 0.0) / weight;
     const Eigen::Vector2d shift = step.segment<2>(4);
     placed.shape += Eigen::Map<const Eigen::Matrix2d>(step.data());
-    placed.centre += shift;
-    if (!((placed.centre - start.centre).norm() <= range)) return std::nullopt;
+    placed.center += shift;
+    if (!((placed.center - start.center).norm() <= range)) return std::nullopt;
     if (shift.norm() > converged_px || iteration == 0) continue;
 
     if (step(6) <= 0) return std::nullopt;
     const double correlation = std::sqrt(std::max(1 - variance / contrast, 0.0));
     if (correlation < options.match_min_correlation) return std::nullopt;
     const Matrix8d covariance = std::max(variance, 1e-12) * factor.solve(Matrix8d::Identity());
-    return Match{placed.centre, std::sqrt(0.5 * (covariance(4, 4) + covariance(5, 5)))};
+    return Match{placed.center, std::sqrt(0.5 * (covariance(4, 4) + covariance(5, 5)))};
   }
   return std::nullopt;
 }
@@ -176,14 +176,14 @@ class Matcher {
     const auto seen = project(reference, point.position);
     if (!seen) return {};
     const Eigen::Vector2d pixel(std::round(seen->x()), std::round(seen->y()));
-    const auto centre = meet(reference, pixel, point);
-    if (!centre) return {};
+    const auto center = meet(reference, pixel, point);
+    if (!center) return {};
     // Reference windows by pyramid level and window width, sampled when needed.
     std::array<std::optional<std::vector<double>>, 2 * (largest_level + 1)> patches;
     std::vector<TieObservation> found{{index, point.reference, pixel, 0}};
     for (std::size_t view = 0; view < views_.size(); ++view) {
       if (view == point.reference) continue;
-      const auto expected = expect(point, *centre, pixel, view);
+      const auto expected = expect(point, *center, pixel, view);
       if (!expected) continue;
       const double scale = std::sqrt(std::abs(expected->shape.determinant()));
       for (int coarser = 0; coarser <= most_coarser; ++coarser) {
@@ -197,7 +197,7 @@ class Matcher {
         }
         if (patch->empty()) continue;
         const double reduction = std::exp2(level);
-        const Placement start{expected->shape * (std::exp2(reference_level) / reduction), expected->centre / reduction};
+        const Placement start{expected->shape * (std::exp2(reference_level) / reduction), expected->center / reduction};
         const auto matched =
             match(at_level(view, level), start, *patch, window, options_, options_.match_range_px / reduction);
         if (!matched) continue;
@@ -245,7 +245,7 @@ class Matcher {
   /// Where a pixel's ray meets the point's plane.
   static std::optional<Eigen::Vector3d> meet(const SweepView& view, const Eigen::Vector2d& pixel,
                                              const TiePoint& point) {
-    const Eigen::Vector3d origin = view.pose.centre();
+    const Eigen::Vector3d origin = view.pose.center();
     const Eigen::Vector3d ray =
         (view.pose.rotation.transpose() * view.camera.undistort(pixel).homogeneous()).normalized();
     const double along = ray.dot(point.normal);
@@ -256,18 +256,18 @@ class Matcher {
   }
 
   /// Where the plane puts the reference's window in a view.
-  std::optional<Placement> expect(const TiePoint& point, const Eigen::Vector3d& centre, const Eigen::Vector2d& pixel,
+  std::optional<Placement> expect(const TiePoint& point, const Eigen::Vector3d& center, const Eigen::Vector2d& pixel,
                                   std::size_t view) const {
     const SweepView& reference = views_[point.reference];
     const SweepView& other = views_[view];
-    const Eigen::Vector3d away = other.pose.centre() - centre, back = reference.pose.centre() - centre;
+    const Eigen::Vector3d away = other.pose.center() - center, back = reference.pose.center() - center;
     const double sine = away.normalized().dot(point.normal);
     // Both views must see the same side of the plane, at an angle that is not too flat.
     if (std::abs(sine) < least_sine || sine * back.dot(point.normal) < 0) return std::nullopt;
-    const auto image = project(other, centre);
+    const auto image = project(other, center);
     if (!image) return std::nullopt;
     Placement placed;
-    placed.centre = *image;
+    placed.center = *image;
     const double reach = 0.5 * options_.match_radius;
     for (int axis = 0; axis < 2; ++axis) {
       const Eigen::Vector2d shift = reach * Eigen::Vector2d::Unit(axis);

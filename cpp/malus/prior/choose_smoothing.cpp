@@ -94,16 +94,16 @@ class Windows {
 template <class Function>
 double minimize(Function&& function, double start, double step, double low, double high) {
   double x = start;
-  double left = function(x - step), centre = function(x), right = function(x + step);
-  while (left < centre && x - step > low) {
-    x -= step, right = centre, centre = left;
+  double left = function(x - step), center = function(x), right = function(x + step);
+  while (left < center && x - step > low) {
+    x -= step, right = center, center = left;
     left = function(x - step);
   }
-  while (right < centre && x + step < high) {
-    x += step, left = centre, centre = right;
+  while (right < center && x + step < high) {
+    x += step, left = center, center = right;
     right = function(x + step);
   }
-  const double curvature = left - 2 * centre + right;
+  const double curvature = left - 2 * center + right;
   return curvature > 0 ? x + std::clamp(0.5 * (left - right) / curvature, -1.0, 1.0) * step : x;
 }
 

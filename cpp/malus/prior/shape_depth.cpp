@@ -38,7 +38,7 @@ struct RayHit {
 
 Image<float> depth_of_shape(const Shape& shape, const Pinhole& camera, const Pose& pose) {
   const Eigen::Matrix3d to_world = pose.rotation.transpose();
-  const Eigen::Vector3d origin = pose.centre();
+  const Eigen::Vector3d origin = pose.center();
   Image<float> depth(camera.size);
   for_each_pixel(camera.size, [&](int u, int v) {
     // The camera's ray has z = 1, so the multiple is the depth.

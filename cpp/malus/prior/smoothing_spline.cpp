@@ -436,7 +436,7 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
   const Eigen::Matrix<double, 9, 9> definite =
       stiffness_ + 1e-9 * stiffness_.trace() * Eigen::Matrix<double, 9, 9>::Identity();
   const Eigen::Matrix<double, 9, 9> root = definite.llt().matrixL().toDenseMatrix();
-  const Basis centre = products(splines(0.5), splines(0.5));
+  const Basis center = products(splines(0.5), splines(0.5));
   // Number of draws kept in memory at a time.
   constexpr int batch = 8;
   Image<float> sum({columns_, rows_}, 1, 0.0F);
@@ -450,7 +450,7 @@ Image<float> SmoothingSpline::variance(int samples, std::uint64_t seed) {
       const auto ids = cell_unknowns(cell);
       for (Eigen::Index column = 0; column < drawn.cols(); ++column) {
         double value = 0;
-        for (int k = 0; k < 9; ++k) value += centre[k] * drawn(ids[static_cast<std::size_t>(k)], column);
+        for (int k = 0; k < 9; ++k) value += center[k] * drawn(ids[static_cast<std::size_t>(k)], column);
         sum[cell] += static_cast<float>(value * value / samples);
       }
     });

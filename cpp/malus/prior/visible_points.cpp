@@ -8,7 +8,7 @@
 #include "malus/core/error.h"
 #include "malus/core/ranked_values_internal.h"
 #include "malus/prior/merged_points_internal.h"
-#include "malus/prior/point_judgement_internal.h"
+#include "malus/prior/point_judgment_internal.h"
 #include "malus/prior/visible_points_internal.h"
 
 namespace malus {
@@ -16,9 +16,9 @@ namespace {
 
 /// Spacing of the visible points: that of evenly spread points with the same distance of the farthest neighbor
 /// (median).
-double spacing_of(const PointJudgement& judgement, int neighbors, const Context& context) {
-  const auto distance2 = [&](std::size_t i) { return judgement.hidden[i] ? no_value : judgement.distance2[i]; };
-  RankedValues ranked(judgement.distance2.size(), distance2, context);
+double spacing_of(const PointJudgment& judgment, int neighbors, const Context& context) {
+  const auto distance2 = [&](std::size_t i) { return judgment.hidden[i] ? no_value : judgment.distance2[i]; };
+  RankedValues ranked(judgment.distance2.size(), distance2, context);
   const std::size_t found = std::min(static_cast<std::size_t>(neighbors), ranked.size() - 1);
   if (found == 0) return 0;
   return std::sqrt(std::numbers::pi * ranked.at(std::array{ranked.size() / 2}).front() / static_cast<double>(found));
@@ -37,14 +37,14 @@ VisiblePoints visible_points(const PointCloud& cloud, const Pinhole& camera, con
   MergedPoints merged = project_and_merge(cloud, camera, pose, mask, result.census, context);
   if (merged.points.empty()) return result;
   result.reference_depth = merged.reference_depth;
-  const PointJudgement judgement = judge_points(merged.points, camera.size, options, context);
-  result.spacing_px = spacing_of(judgement, options.neighbors, context);
+  const PointJudgment judgment = judge_points(merged.points, camera.size, options, context);
+  result.spacing_px = spacing_of(judgment, options.neighbors, context);
   std::size_t kept = 0;
   for (std::size_t i = 0; i < merged.points.size(); ++i) {
-    const bool good = !judgement.hidden[i] && !judgement.outlier[i];
-    (good                  ? result.census.used
-     : judgement.hidden[i] ? result.census.hidden
-                           : result.census.outliers) += merged.merged[i];
+    const bool good = !judgment.hidden[i] && !judgment.outlier[i];
+    (good                 ? result.census.used
+     : judgment.hidden[i] ? result.census.hidden
+                          : result.census.outliers) += merged.merged[i];
     if (good) merged.points[kept++] = merged.points[i];
   }
   merged.points.resize(kept);

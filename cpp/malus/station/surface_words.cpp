@@ -35,7 +35,7 @@ std::string origin_of_detail(const Json& quality) {
 }
 
 /// The fields of [object] that are not empty.
-Json catalogue_of(const Json& quality) {
+Json catalog_of(const Json& quality) {
   Json words = Json::object();
   if (!quality.contains("object")) return words;
   for (const auto& [key, value] : quality.at("object").items())
@@ -62,7 +62,7 @@ Json surface_words(const Json& quality) {
   std::string reasons;
   for (const std::string reason : confidence.at("reasons")) reasons += reason + ' ';
   Json said = {{"title", quality.at("name")}};
-  said.update(catalogue_of(quality));
+  said.update(catalog_of(quality));
   said.update({{"unit", unit},
                {"pixel", pixel},
                {"confidence", confidence.at("level")},
@@ -76,7 +76,7 @@ Json surface_words(const Json& quality) {
 }
 
 Json surface_extras(const Json& quality, const Json& versions) {
-  return {{"object", catalogue_of(quality)},
+  return {{"object", catalog_of(quality)},
           {"station", quality.at("name")},
           {"unit_of_the_station", quality.at("unit")},
           {"gsd", quality.at("gsd")},

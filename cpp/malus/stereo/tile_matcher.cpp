@@ -130,16 +130,16 @@ void TileMatcher::choose_views(const MatchLevel& level) {
   }
 }
 
-void TileMatcher::prepare(float centre, float half_range) {
-  centre_ = centre;
+void TileMatcher::prepare(float center, float half_range) {
+  center_ = center;
   half_range_ = half_range;
   const std::size_t n = stride_ * rows_;
   std::vector<float> near_x(n), near_y(n), far_x(n), far_y(n);
   for (View& view : views_) {
     auto& path = view.path;
-    project(view, centre - half_range, near_x, near_y);
-    if (centre != projected_) project(view, centre, path[0], path[3]);
-    project(view, centre + half_range, far_x, far_y);
+    project(view, center - half_range, near_x, near_y);
+    if (center != projected_) project(view, center, path[0], path[3]);
+    project(view, center + half_range, far_x, far_y);
     for (std::size_t i = 0; i < n; ++i) {
       path[1][i] = 0.5F * (far_x[i] - near_x[i]);
       path[2][i] = 0.5F * (far_x[i] + near_x[i]) - path[0][i];
@@ -147,11 +147,11 @@ void TileMatcher::prepare(float centre, float half_range) {
       path[5][i] = 0.5F * (far_y[i] + near_y[i]) - path[3][i];
     }
   }
-  projected_ = centre;
+  projected_ = center;
 }
 
 void TileMatcher::score(float offset, Scores& scores) const {
-  const float t = (offset - centre_) / half_range_;
+  const float t = (offset - center_) / half_range_;
   const auto width = static_cast<std::size_t>(tile_.width()),
              window = rows_ + 1 - static_cast<std::size_t>(tile_.height());
   const auto best = static_cast<std::size_t>(settings_.best), half_best = (best + 1) / 2;

@@ -64,7 +64,7 @@ class TileMatcher {
   bool halves_see(std::size_t pixel) const { return half_count_[0][pixel] > 0 && half_count_[1][pixel] > 0; }
   /// Prepares for offsets of ln z in [center − half_range, center + half_range], over which a pixel's path through a
   /// photo is approximated by a parabola.
-  void prepare(float centre, float half_range);
+  void prepare(float center, float half_range);
   /// May be called by several threads at once, each with its own `scores`.
   void score(float offset, Scores& scores) const;
 
@@ -90,7 +90,7 @@ class TileMatcher {
   std::vector<View> views_;
   std::vector<float> count_;
   std::array<std::vector<float>, 2> half_count_;
-  float centre_ = 0, half_range_ = 1;
+  float center_ = 0, half_range_ = 1;
   float projected_ = 0;  ///< offset that the paths' first coefficients were projected for
 };
 

@@ -75,7 +75,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
       const double scale = photo.projection.focal() / photo.projection.depth_in_view(x, y, z) / (station_.focal() / z);
       resolution.push_back(scale);
       parallax.push_back((farther - pixel).norm() / delta / scale);
-      const Eigen::Vector3d away = (photo.projection.centre_in_station() - point).normalized();
+      const Eigen::Vector3d away = (photo.projection.center_in_station() - point).normalized();
       angle.push_back(std::acos(std::clamp(-away.dot(point.normalized()), -1.0, 1.0)));
     }
     photo.parallax = median(parallax);
@@ -85,8 +85,8 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
     photo.sees = !angle.empty() && a <= to_radians(options_.max_angle_deg);
     const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
-    const Eigen::Vector3d& centre = photo.projection.centre_in_station();
-    photo.azimuth_rad = std::atan2(centre.y(), centre.x());
+    const Eigen::Vector3d& center = photo.projection.center_in_station();
+    photo.azimuth_rad = std::atan2(center.y(), center.x());
   }
 }
 

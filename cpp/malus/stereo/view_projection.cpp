@@ -17,7 +17,7 @@ ViewProjection::ViewProjection(const Pinhole& station, const Pose& station_pose,
     : station_(station),
       view_from_station_(pose.rotation * station_pose.rotation.transpose()),
       translation_(pose.translation - view_from_station_ * station_pose.translation),
-      centre_in_station_(-view_from_station_.transpose() * translation_),
+      center_in_station_(-view_from_station_.transpose() * translation_),
       raster_(camera.pinhole()) {
   fit_lens(camera);
 }

@@ -21,7 +21,7 @@ class ViewProjection {
   /// The same for one point, in double precision.
   Eigen::Vector2d project(double u, double v, double z) const;
   /// Center of the photo's camera in the station's frame.
-  const Eigen::Vector3d& centre_in_station() const { return centre_in_station_; }
+  const Eigen::Vector3d& center_in_station() const { return center_in_station_; }
   double focal() const { return raster_.focal(); }
   /// Distance of a station point from the photo's camera along its axis.
   double depth_in_view(double u, double v, double z) const;
@@ -33,7 +33,7 @@ class ViewProjection {
 
   Pinhole station_;
   Eigen::Matrix3d view_from_station_;
-  Eigen::Vector3d translation_, centre_in_station_;
+  Eigen::Vector3d translation_, center_in_station_;
   Pinhole raster_;                                                          ///< of the photo without distortion
   Eigen::Matrix<double, 5, 1> lens_ = Eigen::Matrix<double, 5, 1>::Zero();  ///< k1 k2 k3 p1 p2
   double max_r2_ = 0;  ///< squared ideal radius of the field of view; beyond it the polynomials may fold back

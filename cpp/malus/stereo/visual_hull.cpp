@@ -76,12 +76,12 @@ Ball ball_about(const std::vector<Silhouette>& silhouettes) {
     const Eigen::Vector3d ray = (world_from_cam * ideal.homogeneous()).normalized();
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - ray * ray.transpose();
     normal += across;
-    right += across * one.pose.centre();
+    right += across * one.pose.center();
     radii.push_back(0.5 * std::hypot(box.width() - 1, box.height() - 1) / one.camera.pinhole().focal());
   }
   Ball ball{normal.ldlt().solve(right), 0};
   for (std::size_t k = 0; k < silhouettes.size(); ++k) {
-    ball.radius = std::max(ball.radius, radii[k] * (ball.middle - silhouettes[k].pose.centre()).norm());
+    ball.radius = std::max(ball.radius, radii[k] * (ball.middle - silhouettes[k].pose.center()).norm());
   }
   return ball;
 }

@@ -150,7 +150,7 @@ Dem dem_from_mesh(const TriangleMesh& mesh, const FusedSurface& surface, const S
 Dem dem_from_mesh(const MeshInStrips& mesh, const FusedSurface& surface, const SurfaceOptions& options,
                   const Context& context) {
   validate_fields(options, "surface");
-  Dem dem = plane_frame(object_plane(mesh, surface.pose.centre(), context), surface.pose);
+  Dem dem = plane_frame(object_plane(mesh, surface.pose.center(), context), surface.pose);
   dem.pixel = options.dem_pixel ? *options.dem_pixel : median_gsd(surface, context) * options.subsample;
   allocate(dem, mesh, !options.dem_pixel, context);
   for_strips(mesh, context, [&](std::size_t, const MeshStrip& strip) {

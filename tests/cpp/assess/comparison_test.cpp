@@ -12,7 +12,7 @@ namespace {
 
 using namespace scenes;
 
-const Pinhole compared_camera = centred_camera({160, 120}, 1000);
+const Pinhole compared_camera = centered_camera({160, 120}, 1000);
 constexpr double gsd = 0.5;
 
 /// Wavy surface at about 500 mm, moved towards the camera by `offset` along its rays' z.
@@ -73,7 +73,7 @@ TEST(Reference, SignsFarFromTheOriginAreThoseNearIt) {
 
 TEST(Reference, TreeSearchAgreesWithExhaustiveSearch) {
   const TriangleMesh mesh = mesh_of(wavy(0, 40, 30));
-  const ReferenceSurface reference(mesh, some_pose().centre(), 12, {});
+  const ReferenceSurface reference(mesh, some_pose().center(), 12, {});
   TriangleMesh one;
   one.vertices.points = mesh.vertices.points;
   const FusedSurface other = wavy(2, 40, 30);

@@ -12,7 +12,7 @@ namespace {
 
 using namespace scenes;
 
-const Pinhole patch_camera = centred_camera({120, 100}, 1000);
+const Pinhole patch_camera = centered_camera({120, 100}, 1000);
 
 /// A tilted plane at about 500 mm (GSD 0.5) with normal noise perpendicular to it.
 Image<float> noisy_plane(double noise) {

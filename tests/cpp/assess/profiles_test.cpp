@@ -8,7 +8,7 @@ namespace {
 
 using namespace scenes;
 
-const Pinhole profile_camera = centred_camera({160, 120}, 1000);
+const Pinhole profile_camera = centered_camera({160, 120}, 1000);
 const Eigen::Vector3d tilted = Eigen::Vector3d(0.3, 0, 1).normalized();
 
 /// A plane tilted about the vertical axis, raised towards the camera by `bump` between columns 60 and 100.

@@ -182,7 +182,7 @@ TEST(Quality, ComparesWithAReferenceOnRequest) {
 }
 
 TEST(Quality, GsdFallsBackToTheMedianWhereTheCenterIsEmpty) {
-  const Pinhole camera = centred_camera({100, 80}, 1000);
+  const Pinhole camera = centered_camera({100, 80}, 1000);
   Image<float> depth(camera.size, 1, none);
   EXPECT_THROW(ground_sampling_distance(depth, camera), Error);
   for (int u = 0; u < 11; ++u) depth(u, 3) = static_cast<float>(700 + u);
@@ -218,7 +218,7 @@ TEST(Quality, SameWithAnyNumberOfThreads) {
 }
 
 TEST(PolarizationDepth, HeightsOfBothProjectionsConvertBackToTheirDepth) {
-  const Pinhole camera = centred_camera({60, 50}, 800);
+  const Pinhole camera = centered_camera({60, 50}, 800);
   Image<float> depth(camera.size);
   for (int v = 0; v < 50; ++v) {
     for (int u = 0; u < 60; ++u) depth(u, v) = static_cast<float>(400 + 5 * std::sin(0.2 * u) + 0.1 * v);

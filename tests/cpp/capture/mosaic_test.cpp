@@ -173,12 +173,12 @@ TEST(Mosaic, colors_are_separated) {
 
 TEST(Mosaic, a_color_mosaic_is_split_nearly_as_well_as_a_gray_one) {
   const Size size{160, 120};
-  const double grey = polarization_error(demosaic(mosaic_of(size), "m.png", two_threads()).channels);
+  const double gray = polarization_error(demosaic(mosaic_of(size), "m.png", two_threads()).channels);
   for (const std::string colors : {"RGGB", "GBRG"}) {
     const ColorMosaic split = demosaic_color(color_mosaic(size, colors), colors, "m.png", two_threads());
     // Cells of one color are twice as far apart as cells of a mosaic without colors.
-    EXPECT_LT(polarization_error(split.grey.channels), 5 * grey) << colors;
-    EXPECT_LT(polarization_error(split.grey.channels), 0.012) << colors;
+    EXPECT_LT(polarization_error(split.gray.channels), 5 * gray) << colors;
+    EXPECT_LT(polarization_error(split.gray.channels), 0.012) << colors;
     for (int v = 16; v < size.height - 16; v += 8) {
       EXPECT_NEAR(split.ratios[0](80, v) / split.ratios[1](80, v), tints[0] / tints[1], 0.02) << colors;
       EXPECT_NEAR(split.ratios[2](80, v) / split.ratios[1](80, v), tints[2] / tints[1], 0.02) << colors;

@@ -197,7 +197,7 @@ TEST(Registration, sizes_must_agree) {
       "64 x 65");
 }
 
-TEST(Registration, stops_when_cancelled) {
+TEST(Registration, stops_when_canceled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;

@@ -54,7 +54,7 @@ TEST(Parallel, RethrowsTheErrorOfTheLowestFailingBlock) {
       ErrorCode::data, [&] { parallel_for(context, 100, 1, work); }, "the first");
 }
 
-TEST(Parallel, StopsAtErrorsAndWhenCancelled) {
+TEST(Parallel, StopsAtErrorsAndWhenCanceled) {
   Context context{.threads = 3};
   EXPECT_THROW(parallel_for(context, 100, 1, [](std::size_t, std::size_t) { throw data_error("x"); }), Error);
   std::atomic<bool> cancel{true};

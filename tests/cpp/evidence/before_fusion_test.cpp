@@ -93,16 +93,16 @@ TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
   EXPECT_NE(vase.finding.message.find("0.59 m from the camera; one pixel is 295 µm"), std::string::npos)
       << vase.finding.message;
 
-  const ObjectSize metres = size_of(0.22, 0.59, "mm");
-  EXPECT_EQ(metres.finding.severity, Severity::warning);
-  EXPECT_NE(metres.finding.suggestion.find("unit = \"m\""), std::string::npos) << metres.finding.text();
-  const ObjectSize millimetres = size_of(220, 590, "m");
-  EXPECT_EQ(millimetres.finding.severity, Severity::warning);
-  EXPECT_NE(millimetres.finding.suggestion.find("unit = \"mm\""), std::string::npos) << millimetres.finding.text();
+  const ObjectSize meters = size_of(0.22, 0.59, "mm");
+  EXPECT_EQ(meters.finding.severity, Severity::warning);
+  EXPECT_NE(meters.finding.suggestion.find("unit = \"m\""), std::string::npos) << meters.finding.text();
+  const ObjectSize millimeters = size_of(220, 590, "m");
+  EXPECT_EQ(millimeters.finding.severity, Severity::warning);
+  EXPECT_NE(millimeters.finding.suggestion.find("unit = \"mm\""), std::string::npos) << millimeters.finding.text();
 
-  const ObjectSize coin_in_metres = size_of(24, 300, "m");
-  EXPECT_EQ(coin_in_metres.finding.severity, Severity::warning) << coin_in_metres.finding.text();
-  EXPECT_NE(coin_in_metres.finding.suggestion.find("unit = \"mm\""), std::string::npos);
+  const ObjectSize coin_in_meters = size_of(24, 300, "m");
+  EXPECT_EQ(coin_in_meters.finding.severity, Severity::warning) << coin_in_meters.finding.text();
+  EXPECT_NE(coin_in_meters.finding.suggestion.find("unit = \"mm\""), std::string::npos);
 
   // An inclined object, mostly on one side of the view: the GSD is taken at the image's center, as in quality.json.
   std::vector<Eigen::Vector3d> inclined;

@@ -104,8 +104,8 @@ struct EvidenceScene {
     cloud.normals.push_back((pose.rotation.transpose() * normal).cast<float>());
     if (!has_colors) return;
     // Gamma-encoded as for a display.
-    const auto grey = static_cast<std::uint8_t>(std::clamp(255 * std::pow(albedo, 1 / 2.2), 0.0, 255.0));
-    cloud.colors.push_back({grey, grey, grey});
+    const auto gray = static_cast<std::uint8_t>(std::clamp(255 * std::pow(albedo, 1 / 2.2), 0.0, 255.0));
+    cloud.colors.push_back({gray, gray, gray});
   }
 };
 

@@ -219,16 +219,16 @@ TEST(PriorAlignment, FindsMirroredClouds) {
 
 TEST(PriorAlignment, FindsOtherUnitsAndPoses) {
   const EvidenceScene scene;
-  PointCloud metres = scene.cloud;
-  for (Eigen::Vector3d& point : metres.points) point *= 1e-3;
-  const PriorAlignment small = check(scene, metres);
+  PointCloud meters = scene.cloud;
+  for (Eigen::Vector3d& point : meters.points) point *= 1e-3;
+  const PriorAlignment small = check(scene, meters);
   EXPECT_EQ(small.finding.severity, Severity::error);
-  EXPECT_NE(why_cloud_misses(metres, scene.pose, scene.camera, scene.object, "mm").find("a factor of 1000"),
+  EXPECT_NE(why_cloud_misses(meters, scene.pose, scene.camera, scene.object, "mm").find("a factor of 1000"),
             std::string::npos);
   EXPECT_EQ(why_cloud_misses(scene.moved(motion(9000, 0)), scene.pose, scene.camera, scene.object, "mm"), "");
   EXPECT_NE(small.instead.find("the cloud is in m and the camera in mm"), std::string::npos) << small.finding.text();
 
-  const Pose inverse{scene.pose.rotation.transpose(), scene.pose.centre()};
+  const Pose inverse{scene.pose.rotation.transpose(), scene.pose.center()};
   const PriorAlignment other_way = check_alignment(scene.cloud, inverse, scene.images(), {});
   EXPECT_EQ(other_way.finding.severity, Severity::error);
   EXPECT_NE(other_way.instead.find("pose goes the other way"), std::string::npos) << other_way.finding.text();

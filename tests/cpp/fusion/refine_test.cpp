@@ -391,7 +391,7 @@ TEST(Refine, DoesNotTrustASurfaceFartherFromACloudThanItsErrors) {
   EXPECT_LT(of_a_cloud.report.trusted_share, 0.5);
 }
 
-TEST(Refine, StopsWhenCancelled) {
+TEST(Refine, StopsWhenCanceled) {
   const SyntheticStation station = make_station({});
   const std::atomic<bool> cancel = true;
   Context context;

@@ -115,11 +115,11 @@ inline Surface bumps(int size) {
 /// Ball in front of a perspective camera, with the metric height −f ln(z).
 inline Surface ball(const Pinhole& camera, double radius) {
   return [camera, radius](int u, int v, double& height, Eigen::Vector3d& normal) {
-    const Eigen::Vector3d centre(40, -25, 600), ray = camera.ray(u, v);
-    const double a = ray.squaredNorm(), b = ray.dot(centre), c = centre.squaredNorm() - radius * radius;
+    const Eigen::Vector3d center(40, -25, 600), ray = camera.ray(u, v);
+    const double a = ray.squaredNorm(), b = ray.dot(center), c = center.squaredNorm() - radius * radius;
     if (b * b - a * c <= 0) return false;
     const double z = (b - std::sqrt(b * b - a * c)) / a;
-    normal = (z * ray - centre) / radius;
+    normal = (z * ray - center) / radius;
     if (-normal.dot(ray.normalized()) < 0.5) return false;
     height = -camera.focal() * std::log(z);
     return true;

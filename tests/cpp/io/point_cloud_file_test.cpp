@@ -332,7 +332,7 @@ TEST(PointCloudFile, TruncatedAndMutatedFilesAreInputErrors) {
   }
 }
 
-TEST(PointCloudFile, StopsWhenCancelled) {
+TEST(PointCloudFile, StopsWhenCanceled) {
   const TemporaryFolder folder;
   write_ply(folder / "mesh.ply", tetrahedron());
   const std::atomic<bool> cancel{true};

@@ -41,7 +41,7 @@ TEST(Resection, ExactMarksGiveTheExactPose) {
   const Site site;
   const Resection found = resect(site.points(), site.lens, "s");
   EXPECT_LT((found.pose.rotation - site.pose.rotation).norm(), 1e-6);
-  EXPECT_LT((found.pose.centre() - site.pose.centre()).norm(), 1e-3);
+  EXPECT_LT((found.pose.center() - site.pose.center()).norm(), 1e-3);
   EXPECT_LT(found.rms_px, 1e-3);
   EXPECT_FALSE(found.doubtful);
 }
@@ -51,7 +51,7 @@ TEST(Resection, CoplanarPointsSuffice) {
   const std::vector<MarkedPoint> plane{site.point("A", {-150, -90, 60}), site.point("B", {160, -80, -90}),
                                        site.point("C", {140, 95, -90}), site.point("D", {-150, 95, 60})};
   const Resection found = resect(plane, site.lens, "s");
-  EXPECT_LT((found.pose.centre() - site.pose.centre()).norm(), 1);
+  EXPECT_LT((found.pose.center() - site.pose.center()).norm(), 1);
 }
 
 TEST(Resection, ErrorsAreWithinTheirSigma) {
@@ -64,7 +64,7 @@ TEST(Resection, ErrorsAreWithinTheirSigma) {
     std::vector<MarkedPoint> points = site.points();
     for (MarkedPoint& point : points) point.pixel += Eigen::Vector2d(noise(random), noise(random));
     const Resection found = resect(points, site.lens, "s");
-    squares += (found.pose.centre() - site.pose.centre()).squaredNorm() / trials;
+    squares += (found.pose.center() - site.pose.center()).squaredNorm() / trials;
     expected += found.center_sigma * found.center_sigma / trials;
   }
   // The stated sigma is that of the most uncertain direction: the error in three directions is 1 to √3 times as large.

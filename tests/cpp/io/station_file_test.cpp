@@ -443,7 +443,7 @@ TEST_F(StationFileTest, ReadsAPhotogrammetricCamera) {
   EXPECT_EQ(read(decentered).camera->lens.params,
             (std::vector<double>{20, 0.01, 0.01, 0, 1e-5, 0, 0, 1e-6, 2e-6, 3e-6}));
   const Pose pose = station.camera->pose;
-  EXPECT_LT((pose.centre() - Eigen::Vector3d(1, 2, 100)).norm(), 1e-12);
+  EXPECT_LT((pose.center() - Eigen::Vector3d(1, 2, 100)).norm(), 1e-12);
   const Eigen::Vector3d below = pose.cam_from_world({1, 2, 0}), right = pose.cam_from_world({3, 2, 0}),
                         up = pose.cam_from_world({1, 5, 0});
   EXPECT_LT((below - Eigen::Vector3d(0, 0, 100)).norm(), 1e-12);
@@ -618,7 +618,7 @@ TEST_F(StationFileTest, ControlPointsGiveThePose) {
   sections.rest = control_text("[5.5, 4.0]");
   const StationFile station = read(sections);
   ASSERT_TRUE(station.resection);
-  EXPECT_LT((station.camera->pose.centre() - Eigen::Vector3d(0, 0, -50)).norm(), 1e-3);
+  EXPECT_LT((station.camera->pose.center() - Eigen::Vector3d(0, 0, -50)).norm(), 1e-3);
   EXPECT_EQ(station.control.size(), 5U);
   EXPECT_EQ(station.control[4].name, "P5");
 
@@ -725,7 +725,7 @@ TEST(StationFile, EveryRenderedStationLoads) {
       EXPECT_TRUE(station.lens && station.photos && !station.camera && station.scale_bars.size() == 3);
     } else {
       ASSERT_TRUE(station.camera && station.prior && !station.lens);
-      EXPECT_GT(station.camera->pose.centre().norm(), 100);
+      EXPECT_GT(station.camera->pose.center().norm(), 100);
     }
     ++count;
   }

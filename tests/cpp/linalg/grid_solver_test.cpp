@@ -42,11 +42,11 @@ void expect_direct_solution(const GridSystem& system, double difference, int mos
 /// A disc with holes, connected to lines one and two pixels wide; single pixels; and a separate second part.
 Mask difficult_mask(int size) {
   Mask mask({size, size});
-  const double radius = 0.35 * size, centre = 0.5 * size;
+  const double radius = 0.35 * size, center = 0.5 * size;
   for (int v = 0; v < size; ++v) {
     for (int u = 0; u < size; ++u) {
       const bool hole = u % 23 < 7 && v % 31 < 9;
-      mask(u, v) = std::hypot(u - centre, v - centre) < radius && !hole ? 255 : 0;
+      mask(u, v) = std::hypot(u - center, v - center) < radius && !hole ? 255 : 0;
       if (v == size / 2 || u == size / 2 || u == size / 2 + 1) mask(u, v) = 255;
       if (u > 0.9 * size && v > 0.8 * size) mask(u, v) = 255;
     }
@@ -144,7 +144,7 @@ TEST(GridSolver, IndefiniteMatricesGiveAStatus) {
   }
 }
 
-TEST(GridSolver, StopsWhenCancelled) {
+TEST(GridSolver, StopsWhenCanceled) {
   std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;

@@ -99,7 +99,7 @@ TEST(SymmetricSolver, WrongShapesAndPatternsAreInputErrors) {
   EXPECT_THROW(solver.solve(lower, Eigen::VectorXd::Ones(3), x), Error);
 }
 
-TEST(SymmetricSolver, StopsWhenCancelled) {
+TEST(SymmetricSolver, StopsWhenCanceled) {
   std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;

@@ -34,8 +34,8 @@ double texture(double x, double y) {
   return sum;
 }
 
-Pose looking_from(const Eigen::Vector3d& centre) {
-  return looking_pose(centre, {0, 0, distance});
+Pose looking_from(const Eigen::Vector3d& center) {
+  return looking_pose(center, {0, 0, distance});
 }
 
 Eigen::Vector3d on_surface(double x, double y) {
@@ -44,7 +44,7 @@ Eigen::Vector3d on_surface(double x, double y) {
 
 /// Where the pixel's ray meets the surface.
 Eigen::Vector3d meet(const LensCamera& camera, const Pose& pose, const Eigen::Vector2d& pixel) {
-  const Eigen::Vector3d origin = pose.centre();
+  const Eigen::Vector3d origin = pose.center();
   const Eigen::Vector3d ray = pose.rotation.transpose() * camera.undistort(pixel).homogeneous();
   double t = (distance - origin.z()) / ray.z();
   for (int iteration = 0; iteration < 8; ++iteration) {
@@ -79,9 +79,9 @@ Pose disturbed(const Pose& pose, std::mt19937& random) {
   const Eigen::Vector3d turn = 3e-3 * Eigen::Vector3d(normal(random), normal(random), normal(random));
   const Eigen::Matrix3d about = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
   Pose result;
-  const Eigen::Vector3d centre = pivot + about * (pose.centre() - pivot);
+  const Eigen::Vector3d center = pivot + about * (pose.center() - pivot);
   result.rotation = pose.rotation * about.transpose();
-  result.translation = -result.rotation * centre;
+  result.translation = -result.rotation * center;
   return result;
 }
 
@@ -94,10 +94,10 @@ Scene make_scene() {
   for (std::uint32_t k = 0; k < 7; ++k) {
     const double turn = 2 * std::numbers::pi * k / 6 + 0.3;
     const bool station = k == 6;
-    const Eigen::Vector3d centre =
+    const Eigen::Vector3d center =
         station ? Eigen::Vector3d(5, -4, 0) : Eigen::Vector3d(170 * std::cos(turn), 170 * std::sin(turn), 12.0 * k);
     ColmapImage image{
-        station ? "station.png" : "photo_" + std::to_string(k), station ? 2U : 1U, looking_from(centre), {}};
+        station ? "station.png" : "photo_" + std::to_string(k), station ? 2U : 1U, looking_from(center), {}};
     scene.pictures[image.name] = photo(scene.truth.cameras[image.camera_id], image.pose, 0.7 + 0.03 * k, random);
     scene.truth.images[k + 1] = std::move(image);
   }

@@ -427,7 +427,7 @@ TEST(PriorOfCloud, IsTheSameWithMoreThreads) {
   }
 }
 
-TEST(PriorOfCloud, StopsWhenCancelled) {
+TEST(PriorOfCloud, StopsWhenCanceled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;
@@ -542,7 +542,7 @@ TEST(PriorOfShape, IsThePlaneSphereOrCylinder) {
 }
 
 TEST(PriorOfShape, IsSeenFromInsideAndFilledBesideIt) {
-  const Eigen::Vector3d eye = test_pose().centre();
+  const Eigen::Vector3d eye = test_pose().center();
   PriorOptions options;
   options.sigma = 0.3;
   const DepthPrior inside = project(Shape(SphereShape{eye, 200}), options);

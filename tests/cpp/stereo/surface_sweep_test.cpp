@@ -241,7 +241,7 @@ TEST(SweepOfBumps, PhotosOfTwiceTheResolutionMatchToo) {
   fine.size = {380, 280};
   for (const std::size_t k : {0U, 1U, 2U, 3U}) fine.params[k] *= 2;
   std::vector<SweepView> views;
-  for (const std::size_t k : {0U, 2U, 4U}) views.push_back(photo(bumps, bumpy().views[k].pose.centre(), fine));
+  for (const std::size_t k : {0U, 2U, 4U}) views.push_back(photo(bumps, bumpy().views[k].pose.center(), fine));
   const Errors errors = errors_of(sweep_surface(bumpy().input, views, test_options(), {}), bumpy().truth);
   EXPECT_GT(errors.completeness, 0.95);
   EXPECT_LT(errors.median_gsd, 0.2);
@@ -298,7 +298,7 @@ TEST(SweepOfBumps, RefusesMissingAndMismatchedInput) {
       ErrorCode::input, [&] { sweep_surface(bumpy().input, bumpy().views, options, {}); }, "sweep.window_radius = 9");
 }
 
-TEST(SweepOfBumps, StopsWhenCancelled) {
+TEST(SweepOfBumps, StopsWhenCanceled) {
   const std::atomic<bool> cancel{true};
   Context context;
   context.cancel = &cancel;

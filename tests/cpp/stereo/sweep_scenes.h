@@ -37,8 +37,8 @@ inline double texture(double x, double y) {
   return std::clamp(sum, 0.02, 1.0);
 }
 
-inline Pose looking_from(const Eigen::Vector3d& centre) {
-  return looking_pose(centre, {0, 0, distance_mm});
+inline Pose looking_from(const Eigen::Vector3d& center) {
+  return looking_pose(center, {0, 0, distance_mm});
 }
 
 /// Where the ray from `origin` meets the surface.
@@ -52,9 +52,9 @@ inline Eigen::Vector3d meet(const Surface& surface, const Eigen::Vector3d& origi
 }
 
 /// Photo of the surface through a lens, with 2 × 2 rays per pixel; `gain` and `offset` simulate another camera.
-inline SweepView photo(const Surface& surface, const Eigen::Vector3d& centre, const LensCamera& camera, double gain = 1,
+inline SweepView photo(const Surface& surface, const Eigen::Vector3d& center, const LensCamera& camera, double gain = 1,
                        double offset = 0) {
-  SweepView view{Image<float>(camera.size), camera, looking_from(centre)};
+  SweepView view{Image<float>(camera.size), camera, looking_from(center)};
   for (int v = 0; v < camera.size.height; ++v) {
     for (int u = 0; u < camera.size.width; ++u) {
       // Within a pixel, distortion is nearly constant: the pixel's undistorted position is enough.
@@ -64,7 +64,7 @@ inline SweepView photo(const Surface& surface, const Eigen::Vector3d& centre, co
         for (const double du : {-0.25, 0.25}) {
           const Eigen::Vector2d shifted = ideal + Eigen::Vector2d(du, dv) / camera.pinhole().focal();
           const Eigen::Vector3d direction = view.pose.rotation.transpose() * shifted.homogeneous();
-          const Eigen::Vector3d point = meet(surface, view.pose.centre(), direction);
+          const Eigen::Vector3d point = meet(surface, view.pose.center(), direction);
           sum += texture(point.x(), point.y());
         }
       }
@@ -96,15 +96,15 @@ inline Scene make_scene(const Surface& surface, int photos) {
   for (int v = 0; v < station_size.height; ++v) {
     for (int u = 0; u < station_size.width; ++u) {
       const Eigen::Vector3d point =
-          meet(surface, station.pose.centre(), station.pose.rotation.transpose() * lens.pinhole().ray(u, v));
+          meet(surface, station.pose.center(), station.pose.rotation.transpose() * lens.pinhole().ray(u, v));
       scene.truth(u, v) = station.pose.cam_from_world(point).z();
       if (u % 16 == 8 && v % 16 == 8) scene.input.points.push_back(point);
     }
   }
   for (int k = 0; k < photos; ++k) {
     const double turn = 2 * 3.14159265 * k / std::max(photos, 1) + 0.4;
-    const Eigen::Vector3d centre(125 * std::cos(turn), 125 * std::sin(turn), 10.0 * k);
-    scene.views.push_back(photo(surface, centre, distorted_lens(), 0.7 + 0.03 * k, 0.05));
+    const Eigen::Vector3d center(125 * std::cos(turn), 125 * std::sin(turn), 10.0 * k);
+    scene.views.push_back(photo(surface, center, distorted_lens(), 0.7 + 0.03 * k, 0.05));
   }
   return scene;
 }

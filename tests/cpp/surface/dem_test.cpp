@@ -13,7 +13,7 @@ const Eigen::Vector3d tilted = Eigen::Vector3d(0.15, -0.1, 1).normalized();
 
 /// A tilted plane (camera frame) with a raised square of known elevation on it.
 FusedSurface mesa(double height) {
-  const Pinhole camera = centred_camera({160, 120}, 1000);
+  const Pinhole camera = centered_camera({160, 120}, 1000);
   return surface_of(camera.size, 1000, [&](int u, int v) {
     const bool on_top = std::abs(u - 60) < 10 && std::abs(v - 40) < 10;
     return plane_depth(camera, tilted, 500 - (on_top ? height : 0), u, v);
@@ -61,7 +61,7 @@ TEST(Dem, RasterIsOrientedLikeTheImageAndItsFrameMapsBackToTheSurface) {
 }
 
 TEST(Dem, NoGapsBetweenTriangles) {
-  const Pinhole camera = centred_camera({80, 60}, 1000);
+  const Pinhole camera = centered_camera({80, 60}, 1000);
   const FusedSurface surface = surface_of(camera.size, 1000, [&](int u, int v) {
     return sphere_depth(camera, {0, 0, 900}, 400, u, v);
   });

@@ -13,7 +13,7 @@ namespace {
 using namespace scenes;
 
 FusedSurface sphere_surface(Size size) {
-  const Pinhole camera = centred_camera(size, 1000);
+  const Pinhole camera = centered_camera(size, 1000);
   return surface_of(size, 1000, [&](int u, int v) { return sphere_depth(camera, {2, -3, 800}, 60, u, v); });
 }
 
@@ -31,23 +31,23 @@ std::size_t triangle_count(const FusedSurface& surface, const SurfaceOptions& op
 TEST(Mesh, SphereLiesOnTheSphereInTheWorldAndFacesOutward) {
   const FusedSurface surface = sphere_surface({200, 180});
   const TriangleMesh mesh = mesh_from_depth(surface, {}, {}, {});
-  const Eigen::Vector3d centre = surface.pose.world_from_cam({2, -3, 800});
+  const Eigen::Vector3d center = surface.pose.world_from_cam({2, -3, 800});
   ASSERT_GT(mesh.triangles.size(), 30000u);
-  for (const Eigen::Vector3d& x : mesh.vertices.points) ASSERT_NEAR((x - centre).norm(), 60, 2e-3);
+  for (const Eigen::Vector3d& x : mesh.vertices.points) ASSERT_NEAR((x - center).norm(), 60, 2e-3);
   for (std::size_t i = 0; i < mesh.vertices.points.size(); ++i) {
-    const Eigen::Vector3d outward = (mesh.vertices.points[i] - centre).normalized();
-    const Eigen::Vector3d to_camera = (surface.pose.centre() - mesh.vertices.points[i]).normalized();
+    const Eigen::Vector3d outward = (mesh.vertices.points[i] - center).normalized();
+    const Eigen::Vector3d to_camera = (surface.pose.center() - mesh.vertices.points[i]).normalized();
     const double bound = outward.dot(to_camera) > 0.5 ? 0.9999 : 0.9;  // differences are coarse near the rim
     ASSERT_GT(mesh.vertices.normals[i].cast<double>().dot(outward), bound);
   }
   for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
     const auto [middle, normal] = face(mesh, t);
-    ASSERT_GT(normal.dot(surface.pose.centre() - middle), 0) << "counter-clockwise seen from the camera";
+    ASSERT_GT(normal.dot(surface.pose.center() - middle), 0) << "counter-clockwise seen from the camera";
   }
 }
 
 TEST(Mesh, EveryVertexIsUsedAndEveryCellOfAPlaneHasTwoTriangles) {
-  const Pinhole camera = centred_camera({50, 40}, 700);
+  const Pinhole camera = centered_camera({50, 40}, 700);
   const FusedSurface plane = surface_of({50, 40}, 700, [&](int u, int v) {
     return plane_depth(camera, {0.2, 0.1, 1}, 400, u, v);
   });
@@ -125,8 +125,8 @@ TEST(Mesh, ColorsAreSrgbScaledToThePercentile) {
   }
   const TriangleMesh mesh = mesh_from_depth(flat, color, {}, {});
   for (const Rgb& rgb : mesh.vertices.colors) ASSERT_EQ(rgb, (Rgb{255, 188, 0}));  // sRGB(0.5) = 187.5
-  const TriangleMesh grey = mesh_from_depth(flat, Image<float>(flat.depth.size(), 1, 0.3f), {}, {});
-  EXPECT_EQ(grey.vertices.colors[7], (Rgb{255, 255, 255}));
+  const TriangleMesh gray = mesh_from_depth(flat, Image<float>(flat.depth.size(), 1, 0.3f), {}, {});
+  EXPECT_EQ(gray.vertices.colors[7], (Rgb{255, 255, 255}));
   EXPECT_TRUE(mesh_from_depth(flat, {}, {}, {}).vertices.colors.empty());
 }
 

@@ -34,14 +34,14 @@ inline double plane_depth(const Pinhole& camera, const Eigen::Vector3d& normal, 
 }
 
 /// Depth of the near side of a sphere, NaN beside it.
-inline double sphere_depth(const Pinhole& camera, const Eigen::Vector3d& centre, double radius, int u, int v) {
+inline double sphere_depth(const Pinhole& camera, const Eigen::Vector3d& center, double radius, int u, int v) {
   const Eigen::Vector3d ray = camera.ray(u, v);
-  const double a = ray.squaredNorm(), b = ray.dot(centre), c = centre.squaredNorm() - radius * radius;
+  const double a = ray.squaredNorm(), b = ray.dot(center), c = center.squaredNorm() - radius * radius;
   const double root = b * b - a * c;
   return root > 0 ? (b - std::sqrt(root)) / a : std::numeric_limits<double>::quiet_NaN();
 }
 
-inline Pinhole centred_camera(Size size, double focal) {
+inline Pinhole centered_camera(Size size, double focal) {
   return {size, focal, focal, 0.5 * (size.width - 1), 0.5 * (size.height - 1)};
 }
 

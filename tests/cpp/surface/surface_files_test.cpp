@@ -26,7 +26,7 @@ namespace {
 using namespace scenes;
 
 FusedSurface ball() {
-  const Pinhole camera = centred_camera({80, 60}, 1000);
+  const Pinhole camera = centered_camera({80, 60}, 1000);
   return surface_of(camera.size, 1000, [&](int u, int v) { return sphere_depth(camera, {0, 0, 900}, 400, u, v); });
 }
 
@@ -60,7 +60,7 @@ TEST(DisplayImage, FitsWithinAMaximumSideByAveragingBlocks) {
 
 /// A ball in front of a wall, with holes, large enough for many strips of different sizes.
 FusedSurface ball_and_wall() {
-  const Pinhole camera = centred_camera({901, 640}, 1200);
+  const Pinhole camera = centered_camera({901, 640}, 1200);
   FusedSurface surface = surface_of(camera.size, 1200, [&](int u, int v) {
     const float ball = sphere_depth(camera, {10, -20, 900}, 150, u, v);
     return std::isfinite(ball) ? ball : plane_depth(camera, {0.1, -0.2, 1}, 1100, u, v);

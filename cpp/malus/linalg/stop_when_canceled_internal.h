@@ -7,11 +7,11 @@
 namespace malus {
 
 /// Ends Ceres' solution after the step in which the run is canceled. For rooms that use Ceres.
-class StopWhenCancelled final : public ceres::IterationCallback {
+class StopWhenCanceled final : public ceres::IterationCallback {
  public:
-  explicit StopWhenCancelled(const Context& context) : context_(context) {}
+  explicit StopWhenCanceled(const Context& context) : context_(context) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary&) override {
-    return context_.cancelled() ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
+    return context_.canceled() ? ceres::SOLVER_ABORT : ceres::SOLVER_CONTINUE;
   }
 
  private:

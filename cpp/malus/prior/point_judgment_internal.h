@@ -11,14 +11,14 @@
 namespace malus {
 
 /// Which points are hidden or outliers, judged by their neighbors.
-struct PointJudgement {
+struct PointJudgment {
   std::vector<std::uint8_t> hidden, outlier;  ///< flags; no point has both
   LargeVector<float> distance2;  ///< squared distance of the farthest neighbor; not meaningful for hidden points
 };
 
 /// Compares every point with its neighbors. Outliers are judged among the points that are not hidden. `points` are in
 /// row order.
-PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
-                            const Context& context);
+PointJudgment judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
+                           const Context& context);
 
 }  // namespace malus

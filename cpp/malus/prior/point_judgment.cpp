@@ -6,7 +6,7 @@
 #include "malus/core/parallel_internal.h"
 #include "malus/core/robust_spread_internal.h"
 #include "malus/prior/neighbor_search_internal.h"
-#include "malus/prior/point_judgement_internal.h"
+#include "malus/prior/point_judgment_internal.h"
 
 namespace malus {
 namespace {
@@ -57,10 +57,10 @@ class Judge {
     if (2 * (heights.beside + 1) > neighbors.size() + 1) return false;
     scratch.assign(1, p.height);
     for (const std::uint32_t neighbor : neighbors) scratch.push_back(points_[neighbor].height);
-    const double centre = median_in_place(scratch);
-    for (double& value : scratch) value = std::abs(value - centre);
+    const double center = median_in_place(scratch);
+    for (double& value : scratch) value = std::abs(value - center);
     const double spread = robust_spread(scratch);
-    return std::abs(p.height - centre) > std::max(options_.outlier_tolerance * spread, options_.outlier_floor_gsd);
+    return std::abs(p.height - center) > std::max(options_.outlier_tolerance * spread, options_.outlier_floor_gsd);
   }
 
  private:
@@ -71,10 +71,9 @@ class Judge {
 
 /// Judges the points for which `due` is true. Hidden points are searched for, or, with `hidden_known`, left out.
 template <class Due>
-void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, const PriorOptions& options,
+void judge_points(PointJudgment& judgment, std::span<const ViewPoint> points, const PriorOptions& options,
                   bool hidden_known, const Context& context, Due&& due) {
-  const auto left_out =
-      hidden_known ? std::span<const std::uint8_t>(judgement.hidden) : std::span<const std::uint8_t>();
+  const auto left_out = hidden_known ? std::span<const std::uint8_t>(judgment.hidden) : std::span<const std::uint8_t>();
   const NeighborSearch search(points, left_out, static_cast<std::size_t>(options.neighbors), context);
   const Judge judge(points, options);
   parallel_for(context, points.size(), 4096, [&](std::size_t begin, std::size_t end) {
@@ -83,11 +82,11 @@ void judge_points(PointJudgement& judgement, std::span<const ViewPoint> points, 
     for (std::size_t i = begin; i < end; ++i) {
       if (!due(i)) continue;
       search.find(points[i], i, neighbors);
-      judgement.distance2[i] = neighbors.distance2;
+      judgment.distance2[i] = neighbors.distance2;
       const Judge::Heights heights = judge.heights(points[i], neighbors.indices);
       const bool hidden = !hidden_known && judge.is_hidden(points[i], neighbors.indices, heights);
-      judgement.hidden[i] = hidden;
-      judgement.outlier[i] = !hidden && judge.is_outlier(points[i], neighbors.indices, heights, scratch);
+      judgment.hidden[i] = hidden;
+      judgment.outlier[i] = !hidden && judge.is_outlier(points[i], neighbors.indices, heights, scratch);
     }
   });
 }
@@ -115,21 +114,20 @@ bool any_within(const Mask& mask, const ViewPoint& p, double distance) {
 
 }  // namespace
 
-PointJudgement judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
-                            const Context& context) {
-  PointJudgement judgement;
-  judgement.hidden.resize(points.size());
-  judgement.outlier.resize(points.size());
-  judgement.distance2.resize(points.size());
-  judge_points(judgement, points, options, false, context, [](std::size_t) { return true; });
-  if (std::ranges::none_of(judgement.hidden, [](auto hidden) { return hidden != 0; })) return judgement;
+PointJudgment judge_points(std::span<const ViewPoint> points, Size size, const PriorOptions& options,
+                           const Context& context) {
+  PointJudgment judgment;
+  judgment.hidden.resize(points.size());
+  judgment.outlier.resize(points.size());
+  judgment.distance2.resize(points.size());
+  judge_points(judgment, points, options, false, context, [](std::size_t) { return true; });
+  if (std::ranges::none_of(judgment.hidden, [](auto hidden) { return hidden != 0; })) return judgment;
   // Hidden points are no valid neighbors: judge again, without hidden points, those that had one among their neighbors.
-  const Mask hidden = hidden_pixels(points, judgement.hidden, size);
-  judge_points(judgement, points, options, true, context, [&](std::size_t i) {
-    return !judgement.hidden[i] &&
-           any_within(hidden, points[i], std::sqrt(static_cast<double>(judgement.distance2[i])));
+  const Mask hidden = hidden_pixels(points, judgment.hidden, size);
+  judge_points(judgment, points, options, true, context, [&](std::size_t i) {
+    return !judgment.hidden[i] && any_within(hidden, points[i], std::sqrt(static_cast<double>(judgment.distance2[i])));
   });
-  return judgement;
+  return judgment;
 }
 
 }  // namespace malus
