@@ -82,7 +82,7 @@ struct RefineReport {
   /// (with a map of the surroundings, of what a plane does not explain), and always of what a plane does not explain.
   double explained_share = std::numeric_limits<double>::quiet_NaN();
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
-  /// How far the object's shape tells the surface's waves from other light (trust_of_shape), 0 … 1.
+  /// How well the object's shape separates relief from uneven light (see trust_of_shape), 0 … 1.
   double shape_share = 1;
   /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
@@ -93,7 +93,7 @@ struct RefineReport {
   int tiles = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres
 
-  // Of the model and the maps nothing is listed.
+  // The model and the maps are not in the list of fields.
   MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, shape_share,
                regions_compared, regions_taken, tiles, iterations)
 };

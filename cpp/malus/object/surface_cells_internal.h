@@ -59,8 +59,8 @@ class SurfaceCells {
   /// Corners of this cell, from the eye on, after this growth.
   CellPoints corners(const std::array<int, 4>& unknowns, const Eigen::VectorXd& growth) const;
 
-  /// Standard deviation of an unknown's place across the surface, in GSD, as if the pixels were wrong independently:
-  /// all pixels that share an error weigh together as much as one of them would.
+  /// Standard deviation of the pixel's position across the surface [GSD]. It is enlarged so that pixels with a common
+  /// error together count as one measurement.
   double sigma(int unknown) const { return sigma_[static_cast<std::size_t>(unknown)]; }
   /// How far an unknown moves across the surface for a growth of one, in GSD.
   double across(int unknown) const { return across_[static_cast<std::size_t>(unknown)]; }
