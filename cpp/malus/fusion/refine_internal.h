@@ -86,8 +86,8 @@ struct RefineReport {
   double shape_share = 1;
   /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
-  /// Of the result's Stokes vectors, in standard deviations, over the usable pixels that are refined by half or more;
-  /// 0 if there are none.
+  /// Median residual of the Stokes vectors at the result, in standard deviations, over the usable pixels that are
+  /// refined by half or more; 0 if there are none.
   double median_residual = 0;
   int regions_compared = 0, regions_taken = 0;  ///< by the search for a better minimum
   int tiles = 0;
