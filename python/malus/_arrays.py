@@ -13,7 +13,7 @@ _TOO_BRIGHT = 10
 
 
 def unmasked(values: ArrayLike, name: str) -> NDArray[Any]:
-    """The values as an array; ValueError for a masked array with masked values: what lies below its mask is no data, but would be read."""
+    """The values as an array; ValueError for a masked array with masked values: values under the mask are no data, but would be read."""
     if np.ma.is_masked(values):
         raise ValueError(
             f"{name} has masked values, expected an array without a mask, such as array.astype(float).filled(numpy.nan)"

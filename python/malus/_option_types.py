@@ -123,7 +123,7 @@ class PhotosSection(Section):
     match_windows: bool
     """measure the points again by least-squares matching of image windows, and adjust all cameras to these measurements"""
     match_points_a_photo: int
-    """match_windows: points are measured again until each photo has this many, those seen in many photos first; a photo can get more, for the sake of others"""
+    """match_windows: points are measured again until each photo has this many, those seen in many photos first; a photo may get more where other photos still have too few"""
     match_radius: int
     """match_windows: radius of the square windows, in px; where noise hides the texture, windows of twice this radius are matched in coarser images"""
     match_range_px: float
@@ -261,7 +261,7 @@ class PriorSection(Section):
     tension_spacings: float
     """distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud"""
     hole_slope: float
-    """growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (of a cloud: from two point spacings off the nearest point on): unseen parts, such as highlights, may deviate from their surroundings"""
+    """growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (in a cloud: beyond two point spacings from the nearest point): unseen parts, such as highlights, may deviate from their surroundings"""
     max_unknowns: int
     """largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in overlapping tiles"""
     sigma_samples: int
@@ -452,7 +452,7 @@ class RefineSection(Section):
     fine_iterations: int
     """rounds at full resolution after those at half the resolution; with a map of the surroundings one more"""
     coarsest_px: float
-    """if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, repeatedly, as long as the root of their number of pixels stays at least this (with a map 1.5 times this), in px"""
+    """if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, before that at half of it, and so on, as long as the square root of their number of pixels is at least this (with a map 1.5 times this), in px"""
     more_iterations: int
     """largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD"""
     steps: int
@@ -504,7 +504,7 @@ class RefineSection(Section):
     explained_enough: float
     """the refined surface is kept where the model explains at least this share of the polarization at the prior's slopes; between explained_least and this, both are blended"""
     anchor: float
-    """low frequencies come from the prior beyond this factor times the square root of (its points' noise in GSD times their spacing in px), in px; larger leaves more to polarization; 0 = none"""
+    """waves longer than a Gaussian of this number times the square root of (noise of the prior's points in GSD times their spacing in px), in px, are the prior's; larger: polarization also decides longer waves; 0 = no such limit"""
 
 
 class RefineValues(TypedDict, total=False):

@@ -99,8 +99,8 @@ def run_campaign(
     shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
     Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
-    around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is done, failed
-    or pending, `kept` whether another run than this one has ended the station.
+    around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is
+    done, failed or pending, `kept` whether the station was finished by an earlier run.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")

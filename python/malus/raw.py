@@ -161,8 +161,8 @@ def linear_image(path: Path, content: bytes | None = None, *, half_size: bool = 
 
 
 def _clip_rims(pixels: NDArray[np.float32]) -> None:
-    """Put the pixels beside a clipped sample at the white level, color by color: the rim of a highlight is interpolated from
-    the sample, which is darker than the light was, but is not itself clipped.
+    """Put the pixels beside a clipped sample at the white level, color by color. These rims of highlights are interpolated from the
+    sample, so they are too dark as well, but do not look clipped.
     """
     clipped = np.pad(pixels >= _CLIPPED, ((1, 1), (1, 1), (0, 0)))
     rows = clipped[:-2] | clipped[1:-1] | clipped[2:]

@@ -243,7 +243,7 @@ class Station:
     def load(cls, path: str | Path, *, photos_of: str | Path | None = None) -> Station:
         """Read a station file; `malus.InputError` names file, field, value and what was expected.
 
-        photos_of: a file, such as that of an object, whose [photos] count if the station file has neither [photos] nor [prior].
+        photos_of: a file, such as that of an object, whose [photos] are used if the station file has neither [photos] nor [prior].
         """
         require_utf8(path)
         station = cls.__new__(cls)

@@ -163,6 +163,18 @@ def test_every_block_is_run_or_is_text() -> None:
     assert not wrong
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: str(page.relative_to(ROOT)))
+def test_lines_of_a_page_are_short(page: Path) -> None:
+    """Rows of tables and commands, which cannot be divided, may be longer."""
+    long, kind = [], ""
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+        if fence := re.match(r"\s*```(\w*)$", line):
+            kind = fence[1]
+        elif len(line) > 120 and kind != "console" and not line.lstrip().startswith("|"):
+            long.append(number)
+    assert not long
+
+
 def test_marked_commands_are_in_the_test_that_their_page_names() -> None:
     for page in PAGES:
         for how, _, file, kind, block in MARK.findall(page.read_text(encoding="utf-8")):

@@ -1057,8 +1057,8 @@ def test_a_turntable_has_masks(turning: Path) -> None:
     (turning.parent / "masks/1.png").unlink()
     edit(turning.parent / "o1/station.toml", 'mask = "mask.png"\n', "")
     photos, stations = Object.load(turning).unmasked()
-    assert photos.startswith("turntable: without a mask are 1 of 3 photos (1.png): what stands still")
-    assert stations.startswith("turntable: without a mask are 1 of 2 stations (") and "o1/station.toml" in stations
+    assert photos.startswith("turntable: 1 of 3 photos have no mask (1.png): what stands still")
+    assert stations.startswith("turntable: 1 of 2 stations have no mask (") and "o1/station.toml" in stations
     edit(turning.parent / "o0/station.toml", 'mask = "mask.png"\n', "")
     with pytest.raises(InputError, match=r"object.toml: object.turntable = true needs masks of the stations"):
         Object.load(turning)
@@ -1101,7 +1101,7 @@ def test_check_says_which_masks_a_turntable_lacks(turning: Path) -> None:
     outcome = malus_here("check", turning, "--threads", "1")
     assert outcome.code == 0, outcome.err
     said = " ".join(outcome.out.split())
-    assert "warning: turntable: without a mask are 1 of 3 photos (1.png)" in said
+    assert "warning: turntable: 1 of 3 photos have no mask (1.png)" in said
     assert "2 of 3 photos have a mask; a visual hull is made of at least 4" in said
     # With a third station, the outlines of two photos and of two other stations are enough.
     shutil.copytree(turning.parent / "o1", turning.parent / "o2")

@@ -6,7 +6,8 @@
 
 namespace malus {
 
-/// Whether a pixel is on the object, by the polarization, or without one by any depth.
+/// Whether a pixel is on the object: as the polarization says, or, without a polarization, if any surface has a depth
+/// there.
 bool is_object(const AssessInput& input, std::size_t pixel);
 
 /// Share of the object's pixels with usable polarization; NaN without an object. The input must have a polarization.

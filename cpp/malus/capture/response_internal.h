@@ -66,7 +66,7 @@ std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, cons
 
 /// Weights (R, G, B) that make one channel of three: channel_weights if given (scaled to sum 1), else `channel`:
 /// "red", "green", "blue", "mean", or "luminance" (Rec. 709: 0.2126, 0.7152, 0.0722 on linear values).
-/// Input error when the name is unknown or the weights are negative, not finite or all zero.
+/// Input error if the weights are negative, not finite or all zero.
 std::array<double, 3> channel_weights(const PolarizedSpec& spec);
 
 /// One image in linear intensities, [0, 1] of the white level.

@@ -27,8 +27,8 @@ constexpr auto names_of(LogLevel) {
 /// How a computation runs: threads, progress, cancellation, log. Passed to every function that takes long; never
 /// global. Callbacks may come from any thread, but never from two at once for one Context.
 struct Context {
-  /// Threads for our loops, OpenCV, BLAS, Ceres and child programs, at least 1. Results do not depend on the number
-  /// beyond rounding.
+  /// Threads for our loops, OpenCV, Ceres and child programs, at least 1; BLAS always runs on one. Results do not
+  /// depend on the number beyond rounding.
   int threads = 1;
   std::uint64_t seed = 0;
   std::function<void(const Progress&)> on_progress = {};

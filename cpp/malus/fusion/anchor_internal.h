@@ -14,9 +14,8 @@ inline constexpr double waves_of_prior = 1.5;
 /// prior without known noise of points. `anchor` is RefineOptions::anchor.
 double anchor_length_px(const DepthPrior& prior, const RefinementImage& image, double anchor);
 
-/// For a dielectric with a map of the surroundings: the map is fitted at the prior's low frequencies, and the result
-/// gets those of the prior's waves that cannot be distinguished from another map. To be called while the surface is
-/// the prior's.
+/// For a dielectric with a map of the surroundings: from now on the map is fitted with the prior's long waves, and the
+/// result gets the prior's waves that a different map could also explain. Call while the surface is still the prior's.
 void hold_map_to(const DepthPrior& prior, Refinement& refinement);
 
 }  // namespace malus

@@ -82,18 +82,18 @@ struct RefineReport {
   /// (with a map of the surroundings, of what a plane does not explain), and always of what a plane does not explain.
   double explained_share = std::numeric_limits<double>::quiet_NaN();
   double explained_beyond_plane = std::numeric_limits<double>::quiet_NaN();
-  /// How far the object's shape tells the surface's waves from other light (trust_of_shape), 0 … 1.
+  /// How well the object's shape separates relief from uneven light (see trust_of_shape), 0 … 1.
   double shape_share = 1;
   /// Share of the surface's movement from the prior that is gain (GainByScale), mean over the object, 0 … 1.
   double gain_share = std::numeric_limits<double>::quiet_NaN();
-  /// Of the result's Stokes vectors, in standard deviations, over the usable pixels that are refined by half or more;
-  /// 0 if there are none.
+  /// Median residual of the Stokes vectors at the result, in standard deviations, over the usable pixels that are
+  /// refined by half or more; 0 if there are none.
   double median_residual = 0;
   int regions_compared = 0, regions_taken = 0;  ///< by the search for a better minimum
   int tiles = 0;
   double linear_solver_share = 0;  ///< of the time spent in Ceres
 
-  // Of the model and the maps nothing is listed.
+  // The model and the maps are not in the list of fields.
   MALUS_FIELDS(specular_share, explained_share, explained_beyond_plane, trusted_share, gain_share, shape_share,
                regions_compared, regions_taken, tiles, iterations)
 };

@@ -31,8 +31,8 @@ struct Refinement {
   MapCourse map;
   bool is_mirror_known = false;  ///< keep the specular light as fitted at the prior's slopes
   double lobe_gain = 0;          ///< relative decrease of the robust cost by the highlight
-  double same_normals_px = 0;  ///< distance_of_same_normals of the prior
-  /// Of the surface that can be distinguished from another map of the surroundings.
+  double same_normals_px = 0;    ///< distance_of_same_normals of the prior
+  /// Longest wave of the surface that cannot be confused with a different map of the surroundings [px].
   double longest_wave_px = std::numeric_limits<double>::infinity();
 
   /// Fits the parameters that all pixels share at the current surface.

@@ -70,6 +70,7 @@ Image<float> prior_variance(const RefinementField& field, const PriorErrors& pri
   const double reach =
       std::min(prior.smoothing_px, surface_sigma_reach_px / 9.0);  // blurs of 1 and 2 times it end at 3 sigma
   const Image<float> around = change_of_curvature(field, reach, context);
+  // A sweep states an error that contains its windows' smoothing (sweep.sigma_scale).
   const double length2 = square(prior.smoothing_px) + (prior.shares_windows ? 0 : square(windows_px));
   parallel_pixels(context, field.object, [&](int u, int v) {
     const double stretch = 1 + central_slopes(field, u, v).tan2();

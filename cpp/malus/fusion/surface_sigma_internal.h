@@ -23,10 +23,10 @@ struct PriorErrors {
 ///
 /// *Prior*: σ² = (k σ_n)² + (σ_p² - σ_n²) + (0.6 B)². σ_n is the prior's own σ_p, or, if this is less, the noise of a
 /// point: what is beyond it, as in the holes of a cloud, does not average out. B is the detail that smoothing over a
-/// length L removes: L² times the RMS change of the curvature over the prior's smoothing. L² is that of the prior, plus
-/// (2 px)² for the windows over which a cloud's points were matched. B is needed because a prior's own σ_p covers only
-/// the noise of its points, and is the same on a plane and on a face. k is 0.3, and 1 where neighboring points were
-/// measured over common windows.
+/// length L removes: L² times the RMS change of the curvature over the prior's smoothing, but over 8 px at most. L² is
+/// that of the prior, plus (2 px)² for the windows over which a cloud's points were matched; a sweep's σ_n contains its
+/// windows. B is needed because a prior's own σ_p covers only the noise of its points, and is the same on a plane and
+/// on a face. k is 0.3, and 1 where neighboring points were measured over common windows.
 /// *Refined*: low frequencies come from the prior. The polarization connects its blocks, which averages their errors:
 /// 0.16 σ² (0.3 for a metal, 0.7 with a map of the surroundings) + (mean squared change around the pixel, Gaussian of
 /// 24 px) / 15. The second term is large where the prior was wrong by more than its sigma. High frequencies: the error

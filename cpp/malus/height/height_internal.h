@@ -18,7 +18,7 @@ struct HeightInput {
   const PolarizationState& polarization;
   const ReflectionMap& reflection;
   const Pinhole* camera = nullptr;             ///< null = orthographic, square pixels
-  LightEstimate light;                         ///< for the rays that is_perspective() says; see judge_direction
+  LightEstimate light;                         ///< judged (judge_direction) for the rays that is_perspective() tells
   const Image<float>* prior_height = nullptr;  ///< form of HeightMap::height, NaN = none; start, and
                                                ///< HeightBoundary::prior
 

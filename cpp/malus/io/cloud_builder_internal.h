@@ -16,7 +16,7 @@ namespace malus {
 /// Collects points; finds coordinates that are not finite.
 class CloudBuilder {
  public:
-  /// `color_scale`: nothing where only all colors together show it.
+  /// `color_scale`: factor from colors to bytes; nothing if only all colors together show it.
   CloudBuilder(const PointColumns& columns, std::optional<double> color_scale)
       : has_normals_(columns.has_three(slot_nx)), has_colors_(columns.has_three(slot_red)), color_scale_(color_scale) {}
 

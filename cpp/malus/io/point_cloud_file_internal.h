@@ -15,9 +15,10 @@ namespace malus {
 /// ignored. XYZ text: one point per line, separated by blanks, commas or semicolons; lines starting with #, // or % are
 /// comments, except that a line with column names (x y z nx ny nz r g b, in any order, and others, which are ignored;
 /// in a comment one of these comes first) before the first point defines the columns. Decimal commas are an error.
-/// Without names: x y z; six columns have normals after these if some of the numbers are negative, or most of the
-/// triples have length 1, else r g b; nine have both, r g b first unless the second three look less like normals; with
-/// any other number only the first three are used. A normal that is not finite becomes zero.
+/// Without names the first three columns are x y z. Of six columns, the last three are normals if some of their numbers
+/// are negative or most of these triples have length 1, else r g b. Nine columns have both: of the last two triples the
+/// one that looks more like normals is taken for them, if in doubt the last one. With any other number of columns only
+/// the first three are used. A normal that is not finite becomes zero.
 ///
 /// Throws ErrorCode::input naming the file: not a point cloud, truncated, more points claimed than its bytes can hold
 /// (checked before memory is taken), no x, y or z, malformed line; for coordinates that are not finite the error states

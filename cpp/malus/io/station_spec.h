@@ -25,7 +25,8 @@ namespace malus {
 /// Numbers greater than zero.
 inline constexpr Range positive_range{std::numeric_limits<double>::min()};
 
-/// Replaces the range in a spec's list of fields where the station file writes the field in a form of its own.
+/// Stands in place of a range in a spec's list of fields: the station file writes this field in a form of its own, for
+/// which its section has a reader.
 struct OwnForm {};
 inline constexpr OwnForm own_form{};
 

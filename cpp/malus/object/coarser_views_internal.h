@@ -8,8 +8,8 @@
 
 namespace malus {
 
-/// What views with larger pixels say of a view's surface: nothing of its detail, but where it lies and how it is
-/// inclined on average over some of their pixels. All values are such averages.
+/// What views with larger pixels contribute to a view's surface: its average position and tilt over some of their
+/// pixels, but no detail. All values are such averages.
 struct CoarserViews {
   Image<float> weight;  ///< sum of these views' weights, as PlaceComparison::weight
   Image<float> move;    ///< sum of their distances along the view's normal, times their weights

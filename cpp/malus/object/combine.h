@@ -60,14 +60,15 @@ struct CombinedViews {
 /// A station's weight is the inverse of its usual variance times the cosine of its viewing angle at the place. The
 /// variances stated for single places are not used: they exaggerate the advantage of the frontal view (decision 90).
 /// The standard deviation of a mean is the mean of those stated, not smaller: stations share a prior, so their errors
-/// do not average out. A point is dropped if another station sees the surface behind it, or sees the place better. A
-/// station with larger pixels than another does not replace its points, and is averaged with them only in what its
-/// pixels resolve. `cloud`: stereo's points; they support places that one station alone sees at a flat angle and that
-/// could be rims.
+/// do not average out. A point is dropped if another station sees through it to a surface behind, or sees the place
+/// better. A station with larger pixels does not replace the points of one with smaller pixels; it moves and tilts them
+/// on average, without changing their detail. `cloud`: points of stereo. A place that only one station sees, at a flat
+/// angle, may be a rim: it is kept only if the cloud has a surface there, too.
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context);
 
-/// Points of the object's surface, from which any mesher can make a mesh: means over the stations, without those beside
-/// finer ones, and points of stereo's clouds where no station measured; all without outliers.
+/// Points of the object's surface, from which any mesher can make a mesh: the means over the stations (`combine`), and
+/// points of stereo's clouds where no station measured. Coarse points beside finer ones are left out, and so are
+/// outliers.
 OrientedPoints object_points(std::span<const ObjectView> views, std::span<const OrientedPoints> clouds,
                              const Context& context);
 

@@ -26,8 +26,8 @@ int level_of(double scale);
 /// How often a cell is halved at most.
 inline constexpr int finest_level = 3;
 
-/// Side of each view's pixels in GSD of the object, the median of the views' GSDs, within what the lattice can show; 1
-/// if it differs from that by less than a quarter.
+/// Side of each view's pixels in GSD of the object (the median of the views' GSDs), limited to what the lattice can
+/// show; 1 if it differs from that median by less than a quarter.
 std::vector<double> scales_of(const std::vector<double>& gsds);
 
 /// Least cosine between the normals of one surface: below it, two surfaces are the sides of something thin, or one of

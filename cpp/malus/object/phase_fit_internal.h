@@ -10,8 +10,8 @@
 
 namespace malus {
 
-/// The growths of cells by which their normals come to lie in the planes of the stations' phases, as far as the
-/// surface's own standard deviations and the smoothness of the move allow.
+/// Finds the relative depth change (growth) of every pixel so that the surface normals agree with the phases measured
+/// by the stations, within the surface's standard deviations and as smoothly as possible.
 class PhaseFit {
  public:
   /// Looks the cells up in the stations. The cells must outlive the fit.

@@ -15,7 +15,7 @@ struct PhasePlanes {
   std::array<Eigen::Vector3d, 2> planes;
 };
 
-/// Of the light that comes to a station from a world point.
+/// The planes by the phase of the light that comes to a station from a world point.
 PhasePlanes phase_planes(const PhasedView& station, const Eigen::Vector3d& point);
 
 /// Whether a normal is so near to one of the two planes, and so far from the other, that the kind of reflection is

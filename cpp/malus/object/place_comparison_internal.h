@@ -21,7 +21,7 @@ struct Place {
 /// The usable pixels of a view with numbers [begin, end).
 std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::size_t end);
 
-/// Another view, and what is the same in the comparison with it at all places.
+/// Another view, with the values that every comparison with it needs.
 struct OtherView {
   const ObjectView* view;
   double inverse_variance;  ///< of its usual sigma

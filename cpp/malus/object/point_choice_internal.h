@@ -20,7 +20,7 @@ OrientedPoints unseen_stereo(const OrientedPoints& cloud, std::span<const Object
 std::vector<std::uint8_t> found_by(const OrientedPoints& cloud, const OrientedPoints& points, double gsd,
                                    const Context& context);
 
-/// The points beside which no finer ones of the same surface lie: these would be blurred by them.
+/// Keeps a point unless a finer point of the same surface lies beside it; coarse points would blur fine ones.
 OrientedPoints without_coarser(OrientedPoints points, double gsd, const Context& context);
 
 /// The points that lie on a surface with most of their neighbors: nearly parallel, and in one plane to two of their

@@ -25,7 +25,7 @@ struct PhasedView {
 /// Whether enough of a station's phases are consistent with its own surface. Only such stations may sharpen others.
 bool is_telling(const PhasedView& station, const Context& context);
 
-/// The rasters of a view that change, as in ObjectView; `usable` stays as it is.
+/// The rasters of a view that sharpening changes (see ObjectView); `usable` stays as it is.
 struct SharpenedMaps {
   Image<float> depth, normals;
 };

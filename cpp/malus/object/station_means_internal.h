@@ -6,7 +6,7 @@
 
 namespace malus {
 
-/// What a view and the others say of the places that it trusts.
+/// Means over a view and the others at the usable places of the view.
 struct StationMeans {
   OrientedPoints believed;  ///< means at places that another view sees too, or this one at a steep enough angle
   OrientedPoints doubtful;  ///< means at places that this view alone sees and at too flat an angle

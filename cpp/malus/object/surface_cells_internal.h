@@ -39,7 +39,7 @@ struct CellSteps {
 /// Whether the pixel, and those to the right, down and between these, are usable and belong to one surface.
 bool is_cell(const ObjectView& view, int u, int v);
 
-/// World point of the surface in a pixel, from the eye on.
+/// Vector from the eye to the surface's world point in a pixel.
 Eigen::Vector3d from_eye(const ObjectView& view, int u, int v);
 
 /// Part of a view's surface as cells of four neighboring pixels. The unknowns are the growths: each pixel's change of
@@ -56,11 +56,11 @@ class SurfaceCells {
   bool begins_cell(int unknown) const { return begins_cell_[static_cast<std::size_t>(unknown)] != 0; }
   /// The unknowns of the corners of the cell that begins here.
   std::array<int, 4> corner_unknowns(int unknown) const;
-  /// Corners of this cell, from the eye on, after this growth.
+  /// Vectors from the eye to the corners of this cell after this growth.
   CellPoints corners(const std::array<int, 4>& unknowns, const Eigen::VectorXd& growth) const;
 
-  /// Standard deviation of an unknown's place across the surface, in GSD, as if the pixels were wrong independently:
-  /// all pixels that share an error weigh together as much as one of them would.
+  /// Standard deviation of the pixel's position across the surface [GSD]. It is enlarged so that pixels with a common
+  /// error together count as one measurement.
   double sigma(int unknown) const { return sigma_[static_cast<std::size_t>(unknown)]; }
   /// How far an unknown moves across the surface for a growth of one, in GSD.
   double across(int unknown) const { return across_[static_cast<std::size_t>(unknown)]; }

@@ -43,7 +43,7 @@ struct ObjectView {
   Pose pose;               ///< cam_from_world; all views of an object have one world
   double gsd = 0;          ///< side of a pixel on the surface, median
   double usual_sigma = 0;  ///< median of `sigma` where usable; the GSD if no pixel is
-  double shared_px = 1;    ///< errors of depth are alike over about so many pixels: the resolution of the prior
+  double shared_px = 1;    ///< errors of depth are alike up to this distance [px]: the resolution of the prior
   PixelSpan<float> depth;
   PixelSpan<float> normals;        ///< 3 channels, unit, world frame
   PixelSpan<float> sigma;          ///< one standard deviation along the normal
@@ -62,8 +62,9 @@ struct ViewMaps {
   Mask usable, object;
 };
 
-/// The rasters of a station's view. A pixel is usable if its surface is known, no rim (2 pixels from the contour or
-/// from a step in depth) and not seen flatter than 80 degrees, and if its sigma is below `most_sigma_gsd` GSD.
+/// The rasters of a station's view. A pixel is usable if its surface is known, lies more than 2 pixels from the contour
+/// and from steps in depth, is seen at less than 80 degrees from its normal, and has a sigma below `most_sigma_gsd`
+/// GSD.
 ViewMaps view_maps(const FusedSurface& surface, double most_sigma_gsd, const Context& context);
 
 /// A station's view; `shared_px` as in ObjectView. The surface and its maps must outlive the view.
@@ -72,7 +73,7 @@ ObjectView object_view(std::string name, const FusedSurface& surface, const View
 /// Median of depth over focal length where the surface is known: the GSD of the station; NaN if it is known nowhere.
 double median_gsd(const FusedSurface& surface);
 /// The usual limit for `view_maps`: four GSD or, if that is more, four standard deviations of a point of the station's
-/// prior (DepthPrior::noise, station unit), which does not become surer with smaller pixels.
+/// prior (DepthPrior::noise, station unit), because smaller pixels do not make a prior more certain.
 double most_sigma_gsd(double gsd, double prior_noise);
 /// What ObjectView::shared_px is to be, from the length over which the station's prior was smoothed
 /// (DepthPrior::smoothing_px; decision 121).

@@ -8,7 +8,7 @@
 
 namespace malus {
 
-/// Rims are not used: places where the cosine of the angle between normal and viewing ray is smaller.
+/// Places with a smaller cosine of the angle between normal and viewing ray are rims, which are not used.
 inline constexpr double least_cosine = 0.17;
 /// Pixels, and standard deviations, that differ by less than this factor count as equally large.
 inline constexpr double alike = 1.25;
@@ -49,13 +49,12 @@ Placed placed(const ObjectView& view, const Eigen::Vector3d& point);
 /// the surface through this point, so nothing is there.
 bool in_front(const ObjectView& view, const Meeting& at, double margin);
 
-/// Whether a view's pixels are clearly smaller than another's and its surface is as sure: it has detail that the other
-/// has not.
+/// Whether a view has detail that another lacks: its pixels are clearly smaller, and its surface is as certain.
 bool resolves_more(const ObjectView& view, const ObjectView& other);
 
 /// Whether a view shows a place in more detail than another does, by the cosines of the angles under which they see it.
-/// A pixel covers the more of a surface the flatter it sees it, so that a near view at a flat angle may be the coarser
-/// one.
+/// The flatter the angle at which a pixel sees a surface, the more of the surface it covers; so a near view at a flat
+/// angle may be the coarser one.
 bool is_finer(const ObjectView& view, double cosine, const ObjectView& other, double other_cosine);
 
 /// Where a view sees a place of a surface.

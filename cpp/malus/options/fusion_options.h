@@ -100,8 +100,8 @@ struct RefineOptions {
     visit(
         "coarsest_px", self.coarsest_px, Range{16, 1e9},
         "if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, "
-        "repeatedly, as long as the root of their number of pixels stays at least this (with a map 1.5 times this), "
-        "in px");
+        "before that at half of it, and so on, as long as the square root of their number of pixels is at least this "
+        "(with a map 1.5 times this), in px");
     visit("more_iterations", self.more_iterations, Range{0, 50},
           "largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps in each round; the first two rounds take one");
@@ -159,8 +159,9 @@ struct RefineOptions {
           "the refined surface is kept where the model explains at least this share of the polarization at the prior's "
           "slopes; between explained_least and this, both are blended");
     visit("anchor", self.anchor, not_negative,
-          "low frequencies come from the prior beyond this factor times the square root of (its points' noise in GSD "
-          "times their spacing in px), in px; larger leaves more to polarization; 0 = none");
+          "waves longer than a Gaussian of this number times the square root of (noise of the prior's points in GSD "
+          "times their spacing in px), in px, are the prior's; larger: polarization also decides longer waves; 0 = no "
+          "such limit");
   }
 };
 

@@ -64,7 +64,7 @@ struct PhotosOptions {
           "measurements");
     visit("match_points_a_photo", self.match_points_a_photo, Range{30, 1e6},
           "match_windows: points are measured again until each photo has this many, those seen in many photos first; a "
-          "photo can get more, for the sake of others");
+          "photo may get more where other photos still have too few");
     visit("match_radius", self.match_radius, Range{3, 32},
           "match_windows: radius of the square windows, in px; where noise hides the texture, windows of twice this "
           "radius are matched in coarser images");
@@ -214,8 +214,8 @@ struct PriorOptions {
     visit("tension_spacings", self.tension_spacings, Range{1, 1e6},
           "distance from all points, in point spacings, beyond which the surface levels out to the plane of the cloud");
     visit("hole_slope", self.hole_slope, not_negative,
-          "growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (of a cloud: "
-          "from two point spacings off the nearest point on): unseen parts, such as highlights, may deviate from their "
+          "growth of the depth's standard deviation inside holes of the prior, in GSD per px from the rim (in a cloud: "
+          "beyond two point spacings from the nearest point): unseen parts, such as highlights, may deviate from their "
           "surroundings");
     visit("max_unknowns", self.max_unknowns, Range{1000, 1e7},
           "largest number of unknowns of the smoothing that are solved at once; larger rasters are solved in "

@@ -60,7 +60,7 @@ struct BundleReport {
 /// standard deviations on). Uses Ceres, which eliminates the points (Schur complement).
 ///
 /// Views and points without an observation stay as they are, and views without one do not count in what follows. Datum:
-/// the first view's pose stays fixed, and of the base to the view farthest from the first one the largest coordinate.
+/// the first view's pose stays fixed, and so does the largest coordinate of the base from it to the view farthest away.
 /// Standard deviations of the lenses are those of the inverse normal matrix times max(1, unit_weight).
 ///
 /// Throws an input error for indices out of range, standard deviations that are not positive, no observation at all, or

@@ -62,7 +62,7 @@ struct PolarizerCalibration {
   double residual_before = 0, residual_after = 0;  ///< as in PolarizerFit
   FrameStatus surface_check = FrameStatus::not_run;
   double zero_error_deg = 0, zero_error_sigma_deg = 0;  ///< from the surface; to be added to the angles as read
-  std::vector<double> scene_polarization;               ///< (b1, b2) in excess according to the surface, over s0
+  std::vector<double> scene_polarization;  ///< (b1, b2) of the whole scene, over s0, that the surface does not explain
   std::vector<double> scene_polarization_sigma;
   /// Coherence of phases and azimuths (PhaseCoherence) for the stated direction of the scale and for the opposite one.
   /// `direction_sigmas`: the difference in standard deviations; a negative value contradicts angle_direction.

@@ -10,7 +10,9 @@
 
 namespace malus {
 
-/// What a cloud's scatter says of its errors: of points of a sweep's windows the sweep states them.
+/// Where the points come from. measured: their scatter shows their error, unless they scatter so little that somebody
+/// must have smoothed them. of_windows: they come from a sweep's windows; the sweep states their error, and little
+/// scatter is no sign of smoothing.
 enum class Points { measured, of_windows };
 
 /// Coarse surface from a cloud, or from the points of another surface.

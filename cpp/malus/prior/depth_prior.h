@@ -18,14 +18,15 @@ struct DepthPrior {
   double points_total = 0;      ///< number of points in the file
   double points_used = 0;       ///< number of visible points that are inliers
   double noise = 0;             ///< standard deviation of a point, or of a raster's depth, station unit; 0 = none
-  double spacing_px = 0;        ///< median distance of neighboring points in the view; of a raster's independent errors
+  double spacing_px = 0;        ///< median distance of neighboring points in the view; of a raster, that of pixels
+                                ///< whose errors are independent
   double smoothing_px = 0;      ///< smoothing length that was used; 0 = none, or not known
-  bool shares_windows = false;  ///< neighbors share matching windows: smoothing does not average their noise
+  bool shares_windows = false;  ///< neighbors were measured over common windows: smoothing does not reduce their noise
   /// Share of object pixels farther than 2 · spacing from every point; for rasters and photos, the share without a
   /// depth.
   double filled_fraction = 0;
   double hull_fraction = 0;    ///< share of object pixels whose depth is that of the photos' visual hull
-  bool assumes_sigma = false;  ///< nobody states or measures the standard deviation: it is `raster_sigma_gsd`
+  bool assumes_sigma = false;  ///< neither stated nor measured: `raster_sigma_gsd` is taken as the standard deviation
 
   // The maps are not listed.
   MALUS_FIELDS(camera, pose, points_total, points_used, noise, spacing_px, smoothing_px, shares_windows,

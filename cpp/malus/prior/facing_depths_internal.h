@@ -18,8 +18,9 @@ class FacingDepths {
   void add(const FacingDepths& other);
   /// Whether points that face away lie in front of those that face the camera nearly everywhere. `focal`: in pixels.
   bool are_reversed(double focal) const;
-  /// Share of the cells with points in which all points face away, in cells so large that most have several points; 0
-  /// if the points are too few to tell. Of a closed object each cell has points of the front, too.
+  /// Share of the occupied cells in which every point faces away; cells are so large that most have several points.
+  /// Near zero for a closed object with right normals, because each cell also has points of its front; 0 if there are
+  /// too few points.
   double away_only() const;
 
  private:

@@ -33,7 +33,7 @@ struct ExpectedTime {
   double seconds = 0;
 };
 
-/// Of which run the times are expected.
+/// The run whose times are expected.
 struct TimedRun {
   std::optional<std::string> until = {};  ///< its last step; nothing = all
   std::optional<Size> size = {};          ///< of the images, if their files do not give it (RAW)

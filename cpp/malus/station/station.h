@@ -50,8 +50,8 @@ struct Station {
   bool in_memory() const { return !images.empty(); }
   bool has_prior() const { return !std::holds_alternative<std::monostate>(prior); }
 
-  /// Reads and checks a station file (not the images). photos_of: a file, such as that of an object, whose [photos]
-  /// count if the station file has neither [photos] nor [prior]. Throws ErrorCode::input.
+  /// Reads and checks a station file (not the images). photos_of: a file, such as that of an object, whose [photos] are
+  /// used if the station file has neither [photos] nor [prior]. Throws ErrorCode::input.
   static Station load(const std::filesystem::path& path,
                       const std::optional<std::filesystem::path>& photos_of = std::nullopt);
 };

@@ -37,7 +37,7 @@ class StationInputs {
   /// [object].
   Json object();
   Json polarized();
-  /// [optics] without the metal, on which the fusion alone depends.
+  /// [optics] except `metal`, on which only the fusion depends.
   Json optics();
   Json metal();
   /// The lens alone: undistortion depends on nothing else of the camera.

@@ -31,8 +31,8 @@ class ViewChoice {
   /// Median parallax of the chosen photos, px of the level per unit of ln z.
   double parallax(const MatchLevel& level) const;
   /// Sets level.views to the photos chosen, each at the level of its pyramid that matches the station's resolution;
-  /// views of an earlier level become invalid. The level of reduction 1 must be the last: photos that it needs at full
-  /// size are kept as cells only, and the intensities of their views are freed.
+  /// views of an earlier level become invalid. Call the full-resolution level (reduction 1) last: it frees the
+  /// intensities of the photos that it uses at full size.
   void prepare(MatchLevel& level, const Context& context);
   const ViewProjection& projection(std::size_t photo) const { return photos_[photo].projection; }
   /// A photo at half its size; several threads may call this at once.

@@ -13,10 +13,10 @@ namespace malus {
 /// Every cell of the pixel grid becomes two triangles, one, or none. It is split along the diagonal that allows more
 /// triangles, or else along the shorter one in space. A triangle needs three finite depths whose standard deviations do
 /// not exceed max_sigma_gsd GSD (depth / focal). The angle between its normal and the ray must not exceed
-/// max_incidence_deg, and it must not cross a depth discontinuity. Two neighboring pixels are separated by one if their
-/// depth step exceeds min_step_gsd GSD (depth / focal) and step_ratio times the larger of the two steps that continue
-/// it on either side. Steep relief, whose neighbors are steep too, therefore stays connected, and an occlusion edge is
-/// cut. With subsample > 1 these tests still use every pixel. Vertices without a triangle are dropped.
+/// max_incidence_deg, and it must not cross a depth discontinuity. There is one between two neighboring pixels if the
+/// depth step between them exceeds both min_step_gsd GSD (depth / focal) and step_ratio times the larger of the steps
+/// right before and after it. Steep relief, whose neighbors are steep too, therefore stays connected, and an occlusion
+/// edge is cut. With subsample > 1 these tests still use every pixel. Vertices without a triangle are dropped.
 ///
 /// Vertex normals are the fused normals (or differences of the depth if the surface has none). `color` is linear, 1 or
 /// 3 channels of the surface's size, or empty for a mesh without colors; one factor for all channels scales its

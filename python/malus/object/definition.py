@@ -64,7 +64,7 @@ class Object:
     more). faces: most triangles, about, of the textured mesh (object/mesh.glb).
     texture_format: of the textures in object/levels/, "webp" or "jpeg" (JPEG colors and PNG normals). reference: a scan to compare the
     mesh with; register: the scan is in another frame and is first registered to the mesh. turntable: the object turned while its
-    surroundings stood still. It is then found by what lies inside the masks of photos and stations, and these masks show all of it.
+    surroundings stood still. Then only features inside the masks of photos and stations count, and these masks show all of the object.
     """
 
     campaign: Campaign
@@ -160,8 +160,8 @@ class Object:
         for what, known in masked.items():
             if without := [name for name, has_mask in known.items() if not has_mask]:
                 warnings.append(
-                    f"turntable: without a mask are {len(without)} of {len(known)} {what} ({listed(without)}): what stands still "
-                    "behind the object can pull them to a wrong place; give them masks, or leave them out"
+                    f"turntable: {len(without)} of {len(known)} {what} have no mask ({listed(without)}): what stands still behind "
+                    "the object can pull them to a wrong place; give them masks, or leave them out"
                 )
         return warnings
 

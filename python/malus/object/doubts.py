@@ -66,8 +66,8 @@ def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             )
         if row["seen_fraction"] == 0:
             warnings.append(
-                f"object: {name}: no part of the mesh is its surface, which is less sure than object.max_sigma_gsd allows, or which "
-                "others see better or contradict"
+                f"object: {name}: no part of the mesh is its surface: it is less certain than object.max_sigma_gsd allows, or other "
+                "stations see its places better or contradict it"
             )
         elif off is None and len(done) > 1:
             warnings.append(

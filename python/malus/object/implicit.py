@@ -130,8 +130,8 @@ def reach_of(points: OrientedPoints, cell: float, threads: int) -> Floats:
 
 
 def pixel_side(points: Floats, threads: int) -> float:
-    """Side of pixels that the points (N×3) of a cloud can count as: with it, the longest reach of a point is what points with this usual
-    distance (median) from their sixth neighbor need.
+    """Side of the pixels as which the points (N×3) of a cloud count: so large that the longest reach of a point (MOST_REACH_CELLS of
+    these pixels) suffices for the median distance of the points from their sixth neighbor.
     """
     if len(points) <= _SPACING_NEIGHBOR:
         return 0.0

@@ -34,8 +34,8 @@ MOST_TO_SIMPLIFY = 4_000_000
 class ObjectMesh:
     """vertices, normals: N×3, world, station unit. triangles: M×3, counter-clockwise from outside. sigma: N, one standard
     deviation across the surface. measured: N, whether points support the vertex; elsewhere the surface is a guess that closes the mesh.
-    level: N, how often the lattice's cells were halved where the vertex is; None if nowhere. areas: N, of the surface about each vertex, up
-    to a factor; None if vertices are equally dense but for the levels, which those of a guess are not.
+    level: N, how often the lattice's cells were halved where the vertex is; None if nowhere. areas: N, area of the surface that each
+    vertex stands for, up to a factor; None if the level alone determines it, as it does unless parts of the mesh are guessed.
     """
 
     vertices: Floats
@@ -47,7 +47,7 @@ class ObjectMesh:
     areas: Floats | None = None
 
     def shares(self, rows: slice) -> Floats:
-        """How much these vertices are to count in shares of the surface: less where the mesh is finer and they are more."""
+        """Weights of these vertices in shares of the surface: smaller where the mesh is finer, so that there are more of them."""
         return self._cells(rows) if self.areas is None else self.areas[rows]
 
     def _cells(self, rows: slice) -> Floats:
@@ -64,8 +64,8 @@ class ObjectMesh:
         return measured / total
 
     def even(self) -> Bools:
-        """Vertices that are equally dense on all of the measured surface (N), for medians: all, but where the lattice is finer a random
-        choice.
+        """Which vertices (N) to take for medians, so that all of the measured surface counts alike: all of them, but a random choice
+        where the lattice is finer.
         """
         random = np.random.default_rng(0)
         parts = [random.random(len(size)) < size for size in map(self._cells, chunks(len(self.vertices)))]

@@ -61,9 +61,11 @@ def run_object(
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
     It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations. Raises DataError if there is no station, the first station's error if none is done, and the errors of
-    malus.reconstruct; if no station is done, or an error ends the making of the surface, or the photos tell of no cameras (DataError)
-    or cannot be used (InputError), there is no surface, nor an earlier one. The error has as notes what was warned of before it.
+    outcomes of the stations.
+
+    Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
+    earlier surface is removed if no station is done, if the photos give no cameras (DataError) or cannot be used (InputError), or if
+    making the new surface fails. The warnings before an error are its notes.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()

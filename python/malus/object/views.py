@@ -45,7 +45,7 @@ class View:
 
     sigma: one standard deviation along the normal. cosine: of the angle between normal and viewing ray. Maps are in single
     precision, as the station's own rasters are: many stations of many megapixels are read together. shared_px: errors of depth are
-    alike over about so many pixels. most_sigma: no usable pixel has a larger sigma. unsure: share of the surface that is not usable
+    alike up to this distance, in pixels. most_sigma: no usable pixel has a larger sigma. unsure: share of the surface that is not usable
     for this reason.
     """
 
@@ -82,13 +82,14 @@ class View:
         return self.core.eye
 
     def resolves_more(self, other: View) -> bool:
-        """Whether this view's pixels are clearly smaller than another's and its surface is as sure: it has detail that the other has not."""
+        """Whether this view has detail that another lacks: its pixels are clearly smaller, and its surface is as certain."""
         return self.core.resolves_more(other.core)
 
     def finer(self, cosine: Floats, other: View, other_cosine: Floats) -> Bools:
         """Which places this view shows in more detail than another does, by the cosines (N) of the angles under which they see them.
 
-        A pixel covers the more of a surface the flatter it sees it, so that a near view at a flat angle may be the coarser one.
+        The flatter the angle at which a pixel sees a surface, the more of the surface it covers; so a near view at a flat angle may be the
+        coarser one.
         """
         return self.core.finer(cosine, other.core, other_cosine)
 

@@ -34,7 +34,7 @@ class Journal:
     """Marks of finished stages, `done/<stage>.json` below a folder.
 
     A stage's key is the hash of malus's version, of the stage's inputs, and of the key and the outputs of the stage before it: a stage
-    that runs again, because it was unfinished or its outputs were lost, may end otherwise. The stage is done if its mark has this key and
+    that runs again, because it was unfinished or its outputs were lost, may give other results. The stage is done if its mark has this key and
     its outputs are unchanged. Outputs are compared by hash; COLMAP's databases, which reading can change, by size.
     """
 

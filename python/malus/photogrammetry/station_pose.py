@@ -42,7 +42,7 @@ class StationView:
     mask: NDArray[np.uint8] | None = None
     """H×W, features outside of it (zero) do not count; None = all count."""
     title: str = "the station"
-    """What messages call it: nobody knows the name of its image."""
+    """Its name in messages, because users do not know the name of its image."""
 
 
 def titled(image: str, stations: Mapping[str, StationView]) -> str:

@@ -124,8 +124,8 @@ _Silhouette = tuple[str, Any]
 def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> list[str]:
     """A few names, at most `most`, without which the others are right; none if none are found.
 
-    Halves the names under suspicion in three ways, as to ask whether the others are right can take seconds: a single wrong name is
-    found, and several as the smallest of these parts that has all of them.
+    `is_right` can take seconds, so the names under suspicion are divided again and again, in three ways, instead of being tried one by
+    one. A single wrong name is found; of several, the smallest of the tried parts that contains all of them.
     """
     found: list[str] = []
     while most > 0 and len(found) != 1:
