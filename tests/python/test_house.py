@@ -248,7 +248,9 @@ def test_words_are_spelled_the_american_way() -> None:
         name = file.relative_to(ROOT).as_posix()
         if file == Path(__file__) or name.startswith("LICENSE") or name in OF_COLOUR_SCIENCE:
             continue
-        found += [f"{name}: {match[0]}" for match in BRITISH.finditer(FOREIGN.sub("", file.read_text(encoding="utf-8")))]
+        found += [
+            f"{name}: {match[0]}" for match in BRITISH.finditer(FOREIGN.sub("", file.read_text(encoding="utf-8")))
+        ]
     assert not found
 
 
