@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from malus.workspace import is_result
 _FULL_FRAME_DIAGONAL_MM = 43.27
 #: Suffixes of images of cameras and phones that cannot be read as photos, in small letters.
 _OTHER_SUFFIXES = raw.SUFFIXES | {".heic", ".heif", ".webp", ".avif"}
+#: Most masks whose faults a message describes.
+_PROBLEMS_LISTED = 6
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -202,6 +205,31 @@ def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
             f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
         )
     return found
+
+
+def require_usable_masks(photos: Sequence[Photo]) -> None:
+    """InputError that names all masks that are black everywhere, or photographs."""
+    problems = []
+    for mask in (photo.mask for photo in photos if photo.mask is not None):
+        state = mask.stat()
+        if problem := _problem_of_mask(str(mask), state.st_mtime_ns, state.st_size):
+            problems.append(problem)
+    if problems:
+        more = len(problems) - _PROBLEMS_LISTED
+        shown = "; ".join(problems[:_PROBLEMS_LISTED]) + (f"; and {more} more" if more > 0 else "")
+        raise InputError(f"[photos] masks: {shown}")
+
+
+@lru_cache(maxsize=4096)
+def _problem_of_mask(path: str, modified_ns: int, length: int) -> str:
+    """Why an image cannot be a mask, empty if it can. Studio asks after every change, and a large mask takes half a second to read:
+    it is read again only if the file has changed.
+    """
+    try:
+        _core.read_mask(path)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def _matches(name: str, pattern: str) -> bool:
