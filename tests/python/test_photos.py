@@ -599,6 +599,9 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
     _core.write_png(str(masks / "e.png"), np.full((12, 8), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 8 x 12 pixels.*EXIF orientation is ignored"):
         photos_of(said)
+    _core.write_png(str(masks / "b.png"), np.full((9, 12), 255, np.uint8))
+    with pytest.raises(package.InputError, match="b.png: is 12 x 9 pixels, .*; .*e.png: is 8 x 12 pixels"):
+        photos_of(said)
     empty = tmp_path / "none"
     empty.mkdir()
     with pytest.raises(package.InputError, match="has no mask of any photo, expected for example a.jpg.png"):
