@@ -93,6 +93,9 @@ def test_arguments_are_checked(scene: dict[str, object]) -> None:
         malus.stereo.sweep(**arguments(scene, intensity=np.ones((3, 3))))
     with pytest.raises(ValueError, match=r"views\[1\] has shape \(4, 4\), expected \(100, 120\)"):
         malus.stereo.sweep(**arguments(scene, views=[views[0], (np.ones((4, 4)), views[1][1])]))
+    dark = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    with pytest.raises(malus.InputError, match=r"^surface sweep: views\[1\]: intensities must be finite"):
+        malus.stereo.sweep(**arguments(scene, views=[views[0], (dark, views[1][1])]))
     with pytest.raises(ValueError, match=r"points has shape \(3,\), expected \(N, 3\)"):
         malus.stereo.sweep(**arguments(scene, points=np.ones(3)))
     with pytest.raises(ValueError, match=r"mask has shape"):
@@ -199,7 +202,7 @@ def test_messages_of_the_sweep_name_the_file_of_a_photo(
     told: list[str] = []
 
     def sweep(*arguments: Any) -> malus.stereo.SweepResult:
-        arguments[8]("warning", "surface sweep: photo 1 and 1 more: the lens is approximated to 2 px only")
+        arguments[8]("warning", "surface sweep: views[1] and 1 more: the lens is approximated to 2 px only")
         return real(*arguments)
 
     real = malus.stereo.sweep

@@ -115,8 +115,8 @@ _KEPT = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", _SHAPE]
 _AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", _SHAPE]
 
 
-#: A photo in the messages of malus.stereo.sweep: its index among those that the sweep got.
-_INDEX = re.compile(r"(?<=^surface sweep: photo )\d+")
+#: A photo in the messages of malus.stereo.sweep, with its index among those that the sweep got.
+_VIEW = re.compile(r"(?<=^surface sweep: )views\[(\d+)\]")
 #: File of a mask, and the values of its image's camera.
 _Silhouette = tuple[str, Any]
 
@@ -266,7 +266,7 @@ class _Sweep:
 
     def _named(self, message: str) -> str:
         """A message of the sweep with the name of the photo's file, which is what people know."""
-        return _INDEX.sub(lambda index: self.cameras.photos[int(index[0])][0].name, message)
+        return _VIEW.sub(lambda view: f"photo {self.cameras.photos[int(view[1])][0].name}", message)
 
     def first(self, settings: Mapping[str, Any]) -> Swept:
         """The first sweep, near the triangulated points."""
