@@ -83,9 +83,10 @@ def sweep(
     distortion) and pose. views: photos with their cameras (any lens model) and poses. A photo is an array (H'×W', in [0, 1] as
     the file codes it) or a Path; a photo from a Path is held in memory once, an array twice. points: N×3, triangulated points
     in the world's frame, from which the search starts. mask: H×W, non-zero = object. options: section `sweep`;
-    `sweep.station_gamma=1` if the station is coded like the photos. progress gets (step, fraction, message), log
-    (level, message). surface: depth and its standard deviation (both H×W) of a surface known beforehand, such as a fused one;
-    the sweep then starts from this surface instead of the points, with larger windows that follow it.
+    `sweep.station_gamma=1` if the station is coded like the photos. progress gets (step, fraction, message), log (level,
+    message); messages call the first photo views[0]. surface: depth and its standard deviation (both H×W) of a surface known
+    beforehand, such as a fused one; the sweep then starts from this surface instead of the points, with larger windows that
+    follow it.
 
     Raises InputError for values that cannot be used, DataError if no photo sees the object or too few points are on it.
     Method: coarse-to-fine offsets from a surface, windowed normalized cross-correlation with the best photos,

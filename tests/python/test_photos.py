@@ -228,6 +228,33 @@ def test_check_lists_what_a_run_would_do(photo_station: Path, fake_colmap: Path,
     assert not fake_colmap.exists()
 
 
+def test_wrong_masks_of_photos_are_all_told_before_features_are_searched(
+    photo_station: Path, fake_colmap: Path, tmp_path: Path
+) -> None:
+    """A black one was told once all cameras had been found, and then the next one."""
+    masks = photo_station.parent / "masks"
+    masks.mkdir()
+    for count, path in enumerate(sorted((photo_station.parent / "views").iterdir())):
+        picture = (Image.new("L", (96, 64), 0), Image.open(path).convert("L"), Image.new("L", (96, 64), 255))[
+            min(count, 2)
+        ]
+        picture.save(masks / f"{path.name}.png")
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nmasks = "masks"')
+    words = (
+        f"[photos] masks: mask {masks / 'view 0.jpg.png'} is black everywhere, expected white where the object is",
+        f"; mask {masks / 'view 1.jpg.png'} looks like a photograph",
+    )
+    assert "view 2" not in fails(photo_station, tmp_path / "work", 2, *words)
+    station = package.Station.load(photo_station)
+    for run in (package.check, package.reconstruct):
+        with pytest.raises(package.InputError) as error:
+            run(station)
+        assert all(word in str(error.value) for word in words)
+    assert not fake_colmap.exists(), "COLMAP was not asked for anything"
+    Image.new("L", (96, 64), 255).save(masks / "view 0.jpg.png")
+    assert "view 0" not in fails(photo_station, tmp_path / "work", 2, words[1][2:]), "the file is read again"
+
+
 def test_check_asks_for_masks_that_viewers_do_not_turn_with_their_photos(
     photo_station: Path, fake_colmap: Path, tmp_path: Path
 ) -> None:
@@ -571,6 +598,9 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
         photos_of(said)
     _core.write_png(str(masks / "e.png"), np.full((12, 8), 255, np.uint8))
     with pytest.raises(package.InputError, match="e.png: is 8 x 12 pixels.*EXIF orientation is ignored"):
+        photos_of(said)
+    _core.write_png(str(masks / "b.png"), np.full((9, 12), 255, np.uint8))
+    with pytest.raises(package.InputError, match="b.png: is 12 x 9 pixels, .*; .*e.png: is 8 x 12 pixels"):
         photos_of(said)
     empty = tmp_path / "none"
     empty.mkdir()

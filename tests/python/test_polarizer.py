@@ -166,6 +166,30 @@ def test_wrong_angle_direction_is_an_error(relief: Path) -> None:
     assert not (work / "quality.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("read_off", "errors", "least", "most"),
+    [
+        ([0, 60, 120], [2, -3, 1], 2.9, 3.1),
+        ([0, 45, 90, 135], [2, -3, 1, 0], 0.3, 2.0),
+        ([0, 36, 72, 108, 144], [2, -3, 1, 1, -1], 0.0, 0.2),
+    ],
+    ids=["three: not at all", "four: in part", "five: found"],
+)
+def test_five_images_determine_reading_errors_and_four_in_part(
+    read_off: list[float], errors: list[float], least: float, most: float
+) -> None:
+    """As docs/capture.md says."""
+    v, u = np.mgrid[:120, :160]
+    intensity = 0.5 + 0.2 * np.sin(u / 17) * np.cos(v / 23)
+    degree, azimuth = 0.125 * (1 + np.sin(u / 31 + v / 19)), u / 40 + v / 29
+    turned = np.radians(np.add(read_off, errors))
+    noise = np.random.default_rng(1).normal(0, 1e-3, (len(turned), *u.shape))
+    images = intensity * (1 + degree * np.cos(2 * (turned[:, None, None] - azimuth))) / 2 + noise
+    found = malus.polarization.calibrate(images, np.radians(read_off), full_well_e=1e6, threads=1)
+    left = np.degrees(found["angles_rad"] - turned)
+    assert least <= np.abs(left - left.mean()).max() <= most
+
+
 def test_unknown_angles_need_five_images(relief: Path) -> None:
     text = relief.read_text()
     start = text.index("images = [")

@@ -93,6 +93,9 @@ def test_arguments_are_checked(scene: dict[str, object]) -> None:
         malus.stereo.sweep(**arguments(scene, intensity=np.ones((3, 3))))
     with pytest.raises(ValueError, match=r"views\[1\] has shape \(4, 4\), expected \(100, 120\)"):
         malus.stereo.sweep(**arguments(scene, views=[views[0], (np.ones((4, 4)), views[1][1])]))
+    dark = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    with pytest.raises(malus.InputError, match=r"^surface sweep: views\[1\]: intensities must be finite"):
+        malus.stereo.sweep(**arguments(scene, views=[views[0], (dark, views[1][1])]))
     with pytest.raises(ValueError, match=r"points has shape \(3,\), expected \(N, 3\)"):
         malus.stereo.sweep(**arguments(scene, points=np.ones(3)))
     with pytest.raises(ValueError, match=r"mask has shape"):
@@ -199,7 +202,7 @@ def test_messages_of_the_sweep_name_the_file_of_a_photo(
     told: list[str] = []
 
     def sweep(*arguments: Any) -> malus.stereo.SweepResult:
-        arguments[8]("warning", "surface sweep: photo 1 and 1 more: the lens is approximated to 2 px only")
+        arguments[8]("warning", "surface sweep: views[1] and 1 more: the lens is approximated to 2 px only")
         return real(*arguments)
 
     real = malus.stereo.sweep
@@ -322,6 +325,30 @@ def test_photos_that_agree_nowhere_leave_the_visual_hull_of_their_masks(tmp_path
     assert np.nanmedian(off) < 0.05 * RADIUS
     assert (off < 2 * first.hull.sigma[np.isfinite(truth)])[np.isfinite(off)].mean() > 0.9
     assert set(first.rasters()) == {"depth", "sigma", "hull", "hull_sigma"}
+
+
+def test_two_masks_that_contradict_each_other_are_both_named(tmp_path: Path) -> None:
+    """Without either one there is a hull, so that one was named, and the run with it corrected took the other one for right."""
+    station, silhouettes = camera_at((0, 0, 0)), []
+    for k in range(12):
+        turn = 2 * np.pi * k / 12 + 0.2
+        camera, file = camera_at((280 * np.cos(turn), 0, DISTANCE + 280 * np.sin(turn))), tmp_path / f"{k}.png"
+        mask = np.where(np.isfinite(ball_seen(camera)), np.uint8(255), np.uint8(0))
+        rows = np.flatnonzero(mask.any(1))
+        middle, quarter = int(rows.mean()), len(rows) // 4
+        if k == 3:
+            mask[middle - quarter :] = 0
+        if k == 8:
+            mask[: middle + quarter] = 0
+        _core.write_png(str(file), mask)
+        silhouettes.append((f"photo {k}", file, camera))
+    nothing = SparseModel({}, np.zeros((0, 3)), np.zeros(0), np.zeros(0, int))
+    cameras = StationCameras(station, [], nothing, {}, {}, silhouettes=silhouettes)
+    with pytest.raises(malus.DataError, match=r"/[38]\.png and [^ ]*/[38]\.png contradict each other"):
+        station_sweep.sweep_station(
+            cameras, np.full((HEIGHT, WIDTH), 0.5, np.float32), np.full((HEIGHT, WIDTH), 255, np.uint8), tmp_path / "work",
+            options=malus.Options(), threads=1, progress=lambda *_: None, log=lambda *_: None,
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -450,7 +450,7 @@ def test_a_new_value_does_not_part_the_next_table_from_its_comment(tmp_path: Pat
         (
             "[[patch]]\nname = 'a'\n\n[[patch]]\nname = 'b'\n\n# Cuts.\n[[profile]]\n",
             ("patch", [{"name": "a"}]),
-            "[[patch]]\nname = 'a'\n\n\n# Cuts.\n[[profile]]\n",
+            "[[patch]]\nname = 'a'\n\n# Cuts.\n[[profile]]\n",
         ),
         (
             "[[patch]]\nname = 'a'\n\n# Cuts.\n[[profile]]\n",
@@ -473,6 +473,80 @@ def test_the_comment_on_the_next_table_stays_before_it(
     document = StationDocument(tmp_path / "station.toml", text)
     (document.set if len(change) == 3 else document.set_list)(*change)
     assert document.text == expected
+
+
+#: Parts of a station file: three patches with comments of their own and, between two blank lines, of none of them.
+_HEAD = '[station]\nname = "x"\n\n# ---- patches ----\n\n'
+_PATCHES = (
+    '# the plinth\n[[patch]]\nname = "a"  # left\nbox = [1, 2, 3, 4]\n# below a\n',
+    "# the foot\n[[patch]]\n# within b\nbox = [1, 2, 3, 5]\n",
+    '# the head\n[[patch]]\nname = "c"\nbox = [1, 2, 3, 6]\n# below c\n',
+)
+_BETWEEN = ("\n", "\n# ---- of 2024 ----\n\n")
+_BACK = '\n# Cuts.\n[[profile]]\nname = "p"\n'
+_WITH_COMMENTS = _HEAD + _PATCHES[0] + _BETWEEN[0] + _PATCHES[1] + _BETWEEN[1] + _PATCHES[2] + _BACK
+
+
+@pytest.mark.parametrize(
+    ("removed", "expected"),
+    [
+        ({0}, _HEAD + _PATCHES[1] + _BETWEEN[1] + _PATCHES[2] + _BACK),
+        ({1}, _HEAD + _PATCHES[0] + _BETWEEN[1] + _PATCHES[2] + _BACK),
+        ({2}, _HEAD + _PATCHES[0] + _BETWEEN[0] + _PATCHES[1] + _BETWEEN[1] + _BACK[1:]),
+        ({0, 1}, _HEAD + _BETWEEN[1][1:] + _PATCHES[2] + _BACK),
+        ({0, 1, 2}, _HEAD + _BETWEEN[1][1:] + _BACK[1:]),
+        (set(), _WITH_COMMENTS),
+    ],
+    ids=["first", "middle", "last", "first two", "all", "none"],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["Unix", "Windows"])
+def test_a_removed_table_takes_its_comments_along_and_no_others(
+    tmp_path: Path, removed: set[int], expected: str, end: str
+) -> None:
+    """The values of the tables behind it moved up, and their comments did not."""
+    from malus.studio.document import StationDocument
+
+    document = StationDocument(tmp_path / "station.toml", _WITH_COMMENTS.replace("\n", end))
+    patches = document.values["patch"]
+    document.set_list("patch", [patch for at, patch in enumerate(patches) if at not in removed])
+    assert document.text == expected.replace("\n", end)
+
+
+def test_a_comment_without_a_blank_line_is_of_the_next_table(tmp_path: Path) -> None:
+    from malus.studio.document import StationDocument
+
+    parts = ("[station]\n# the plinth\n[[patch]]\nname = 'a'\n", "# the foot\n[[patch]]\nname = 'b'\n", "# the end")
+    document = StationDocument(tmp_path / "station.toml", "".join(parts))
+    document.set_list("patch", [{"name": "b"}])
+    assert document.text == "[station]\n" + parts[1] + parts[2], "nothing follows of which the last comment could be"
+    document.set_list("patch", [{"name": "b"}, {"name": "c"}])
+    assert document.text == "[station]\n" + parts[1] + parts[2] + '\n\n[[patch]]\nname = "c"\n'
+
+
+@pytest.mark.parametrize(
+    ("changed", "comments"),
+    [
+        ([{"name": "z", "box": [1, 2, 3, 4]}, {"box": [1, 2, 3, 5]}], {"z": "the plinth", None: "the foot"}),
+        ([{"name": "a", "box": [0, 0, 9, 9]}, {"box": [0, 0, 8, 8]}], {"a": "the plinth", None: "the foot"}),
+        ([{"box": [1, 2, 3, 5]}, {"name": "c", "box": [0, 0, 7, 7]}], {None: "the foot", "c": "the head"}),
+        (
+            [{"name": "c", "box": [1, 2, 3, 6]}, {"name": "a", "box": [1, 2, 3, 4]}],
+            {"c": "the head", "a": "the plinth"},
+        ),
+    ],
+    ids=["new name", "new values", "removed and changed", "another order"],
+)
+def test_a_changed_table_keeps_its_comments(
+    tmp_path: Path, changed: list[dict[str, Any]], comments: dict[str | None, str]
+) -> None:
+    from malus.studio.document import StationDocument
+
+    document = StationDocument(tmp_path / "station.toml", _WITH_COMMENTS)
+    document.set_list("patch", changed)
+    assert document.values["patch"] == changed
+    above = re.findall(r"# (.+)\n\[\[patch\]\]", document.text)
+    assert dict(zip([patch.get("name") for patch in changed], above, strict=True)) == comments
+    assert "# Cuts.\n[[profile]]" in document.text
 
 
 @pytest.mark.parametrize(

@@ -191,6 +191,13 @@ Mask read_mask(const std::filesystem::path& path) {
 
 Image<std::uint8_t> read_labels(const std::filesystem::path& path) {
   const RawImage image = read_image(path, "label image");
+  if (image.had_palette) {
+    // The places in the table are no labels: programs order the colors as they like.
+    throw input_error(
+        name_of("label image", path) +
+        " has a palette: its pixels are colors of a table, expected 0 (decide), 1 (diffuse) and 2 (specular) as gray "
+        "values; save these numbers as gray, not as indexed color, with 8 bits");
+  }
   if (image.pixels.channels() != 1 || image.bits != 8) {
     throw input_error(name_of("label image", path) + " has " + std::to_string(image.pixels.channels()) +
                       " channels of " + std::to_string(image.bits) + " bits, expected 1 channel of at most 8 bits");

@@ -17,7 +17,8 @@ struct RawImage {
   int bits = 0;         ///< of a sample: 8 or 16, or 32 or 64 in floating-point files
   /// Text of GDAL's tag for the value that stands for "no data", of a TIFF that has it; empty if it cannot be read.
   std::optional<std::string> no_data = {};
-  int scale = 1;  ///< of the file's numbers: 255, 85 or 17 for a gray PNG of 1, 2 or 4 bits, which become 8
+  int scale = 1;             ///< of the file's numbers: 255, 85 or 17 for a gray PNG of 1, 2 or 4 bits, which become 8
+  bool had_palette = false;  ///< the file's numbers were places in a table of colors; `pixels` are the colors
 
   bool is_float() const { return bits > 16; }
   /// White of the format: 255 or 65535; 1 for floating-point files.

@@ -25,6 +25,7 @@ struct PngReader : PngCodec {
   Alpha alpha = Alpha::dropped;
   ImageHeader header;
   int bits = 8, scale = 1;
+  bool had_palette = false;
   std::size_t row_bytes = 0;
   LargeVector<png_byte> samples;
   std::vector<png_bytep> rows;
@@ -58,7 +59,8 @@ bool read_png_header(PngReader& reader) {
   png_read_info(reader.png, reader.info);
   const int color = png_get_color_type(reader.png, reader.info);
   const int depth = png_get_bit_depth(reader.png, reader.info);
-  if (color == PNG_COLOR_TYPE_PALETTE) png_set_palette_to_rgb(reader.png);
+  reader.had_palette = color == PNG_COLOR_TYPE_PALETTE;
+  if (reader.had_palette) png_set_palette_to_rgb(reader.png);
   if (color == PNG_COLOR_TYPE_GRAY && depth < 8) {
     png_set_expand_gray_1_2_4_to_8(reader.png);
     reader.scale = 255 / ((1 << depth) - 1);
@@ -152,6 +154,7 @@ RawImage decode_png(std::string_view bytes, Alpha alpha, const HeaderCheck& chec
 
   RawImage image{Image<float>::uninitialized(reader.header.size, reader.header.channels), reader.bits};
   image.scale = reader.scale;
+  image.had_palette = reader.had_palette;
   if (reader.bits == 16) {
     to_float<png_uint_16>(reader.samples.data(), image.pixels);
   } else {

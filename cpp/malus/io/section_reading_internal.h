@@ -2,8 +2,6 @@
 
 // Private to the io room: what the readers of a station file's sections share.
 
-#include <toml++/toml.h>
-
 #include <array>
 #include <concepts>
 #include <initializer_list>
@@ -14,6 +12,7 @@
 #include <vector>
 
 #include "malus/io/station_spec.h"
+#include "malus/io/toml_library_internal.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {

@@ -4,8 +4,6 @@
 // the source named after its section. `document` is the whole file. All throw ErrorCode::input with file, line, field,
 // value and what was expected.
 
-#include <toml++/toml.h>
-
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -13,6 +11,7 @@
 
 #include "malus/io/given_station_internal.h"
 #include "malus/io/station_spec.h"
+#include "malus/io/toml_library_internal.h"
 #include "malus/io/toml_table_internal.h"
 
 namespace malus {

@@ -186,7 +186,9 @@ Layout read_layout(TIFF* tiff, Alpha alpha) {
   }
   if (layout.photometric != PHOTOMETRIC_MINISBLACK && layout.photometric != PHOTOMETRIC_MINISWHITE &&
       layout.photometric != PHOTOMETRIC_RGB) {
-    throw std::runtime_error("has photometric interpretation " + std::to_string(layout.photometric) +
+    throw std::runtime_error((layout.photometric == PHOTOMETRIC_PALETTE
+                                  ? "has a palette: its pixels are colors of a table"
+                                  : "has photometric interpretation " + std::to_string(layout.photometric)) +
                              ", expected gray or RGB");
   }
   if (layout.samples < 1 || layout.samples > 4) {

@@ -2,10 +2,10 @@
 
 // Private to the io room.
 
-#include <toml++/toml.h>
-
 #include <filesystem>
 #include <string>
+
+#include "malus/io/toml_library_internal.h"
 
 namespace malus {
 

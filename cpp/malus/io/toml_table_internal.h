@@ -3,8 +3,6 @@
 // Private to the io room: a TOML table whose every access is checked and whose errors name file, line, field, value and
 // what was expected.
 
-#include <toml++/toml.h>
-
 #include <array>
 #include <concepts>
 #include <filesystem>
@@ -17,6 +15,7 @@
 #include "malus/core/error.h"
 #include "malus/core/fields.h"
 #include "malus/io/station_spec.h"
+#include "malus/io/toml_library_internal.h"
 
 namespace malus {
 

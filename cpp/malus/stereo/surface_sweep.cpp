@@ -51,7 +51,7 @@ void validate(const SweepInput& input, std::span<const SweepView> views, const S
     throw data_error("surface sweep: no photos, expected at least one whose pose is known");
   }
   parallel_for(context, views.size(), 1, [&](std::size_t k, std::size_t) {
-    const std::string name = "surface sweep: photo " + std::to_string(k);
+    const std::string name = "surface sweep: views[" + std::to_string(k) + "]";
     views[k].camera.validate(name);
     require_size(views[k].intensity, views[k].camera.size, name);
     require_finite(views[k].intensity, name);

@@ -53,7 +53,7 @@ ViewChoice::ViewChoice(const SweepInput& input, std::span<SweepView> views, cons
   }
   if (count == 0) return;
   std::ostringstream message;
-  message << "surface sweep: photo " << first;
+  message << "surface sweep: views[" << first << "]";
   if (count > 1) message << " and " << count - 1 << " more";
   message << ": the lens is approximated to " << worst_px << " px only";
   context.log(LogLevel::warning, message.str());

@@ -13,6 +13,7 @@ from malus.errors import DataError, MalusError
 from malus.object.definition import Object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
 from malus.photogrammetry.front_end import camera_of
+from malus.photogrammetry.photos import photos_of, require_usable_masks
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
 
@@ -35,6 +36,8 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
     whose inputs did not change are not repeated. An error that ends the search has the warnings before it as notes.
     """
     assert thing.shared is not None
+    # Now, as the stations' polarization takes minutes.
+    require_usable_masks(photos_of(thing.shared["photos"]))
     folder, options = output / "photogrammetry", thing.campaign.options
     kept = folder / "stations"
     warnings = thing.unmasked()

@@ -27,7 +27,7 @@ from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, enough_photos_of, solve_photos
-from malus.photogrammetry.photos import Photo, describe_photo
+from malus.photogrammetry.photos import Photo, describe_photo, require_usable_masks
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale, require_scale
 from malus.photogrammetry.station_pose import (
@@ -195,6 +195,8 @@ def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCa
     names = [photo.name for photo in photos]
     require_control_points(said, names)
     require_scale(said, names)
+    bench.report("copies", 0.0, "masks of the photos")
+    require_usable_masks(photos)
     solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:

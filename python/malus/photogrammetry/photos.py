@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from malus.workspace import is_result
 _FULL_FRAME_DIAGONAL_MM = 43.27
 #: Suffixes of images of cameras and phones that cannot be read as photos, in small letters.
 _OTHER_SUFFIXES = raw.SUFFIXES | {".heic", ".heif", ".webp", ".avif"}
+#: Most masks whose faults a message describes.
+_PROBLEMS_TOLD = 6
 _MM_PER_RESOLUTION_UNIT: dict[float, float] = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -171,37 +174,68 @@ def _mask_names(photo: str) -> list[str]:
     return [f"{photo}.png", f"{stem}.png", f"{stem}_mask.png", f"{photo}.mask.png"]
 
 
+def _mask_of(photo: Photo, folder: Path) -> Path | None:
+    paths = (folder / name for name in _mask_names(photo.name))
+    return next((path for path in paths if path.is_file() and path != photo.path), None)
+
+
+def _wrong_size_of_mask(photo: Photo) -> str:
+    """What is wrong with the size of a photo's mask, empty if nothing is."""
+    if photo.mask is None:
+        return ""
+    width, height = _core.image_size(str(photo.mask))
+    if (width, height) == (photo.width, photo.height):
+        return ""
+    turned = (height, width) == (photo.width, photo.height)
+    return f"{photo.mask}: is {width} x {height} pixels, expected {photo.width} x {photo.height} as {photo.name}" + (
+        "; EXIF orientation is ignored: turn the mask as the photo's pixels are stored" if turned else ""
+    )
+
+
+def _told(problems: Sequence[str]) -> str:
+    """Problems for a message, at most _PROBLEMS_TOLD of them and the number of the others."""
+    more = len(problems) - _PROBLEMS_TOLD
+    return "; ".join(problems[:_PROBLEMS_TOLD]) + (f"; and {more} more" if more > 0 else "")
+
+
 def with_masks(photos: Sequence[Photo], folder: Path) -> list[Photo]:
     """The photos with the masks that they have in a folder.
 
     A mask is named like its photo, a photo in a subfolder has its mask in the same subfolder: "a.jpg.png", "a.png",
-    "a_mask.png" or "a.jpg.mask.png" for "a.jpg". Raises InputError if no photo has one, and for masks of another size.
+    "a_mask.png" or "a.jpg.mask.png" for "a.jpg". Raises InputError if no photo has one, and for masks of another size, naming all.
     """
-    found = []
-    for photo in photos:
-        for name in _mask_names(photo.name):
-            path = folder / name
-            if path.is_file() and path != photo.path:
-                width, height = _core.image_size(str(path))
-                if (width, height) != (photo.width, photo.height):
-                    turned = (height, width) == (photo.width, photo.height)
-                    raise InputError(
-                        f"{path}: is {width} x {height} pixels, expected {photo.width} x {photo.height} as {photo.name}"
-                        + (
-                            "; EXIF orientation is ignored: turn the mask as the photo's pixels are stored"
-                            if turned
-                            else ""
-                        )
-                    )
-                photo = replace(photo, mask=path)
-                break
-        found.append(photo)
+    found = [replace(photo, mask=_mask_of(photo, folder)) for photo in photos]
+    if wrong := [problem for photo in found if (problem := _wrong_size_of_mask(photo))]:
+        raise InputError(_told(wrong))
     if photos and all(photo.mask is None for photo in found):
         name = photos[0].name
         raise InputError(
             f'[photos] masks = "{folder}" has no mask of any photo, expected for example {name}.png for {name}'
         )
     return found
+
+
+def require_usable_masks(photos: Sequence[Photo]) -> None:
+    """InputError that names all masks that are black everywhere, or photographs."""
+    problems = []
+    for mask in (photo.mask for photo in photos if photo.mask is not None):
+        state = mask.stat()
+        if problem := _problem_of_mask(str(mask), state.st_mtime_ns, state.st_size):
+            problems.append(problem)
+    if problems:
+        raise InputError(f"[photos] masks: {_told(problems)}")
+
+
+@lru_cache(maxsize=4096)
+def _problem_of_mask(path: str, modified_ns: int, length: int) -> str:
+    """Why an image cannot be a mask, empty if it can. Studio asks after every change, and a large mask takes half a second to read:
+    it is read again only if the file has changed.
+    """
+    try:
+        _core.read_mask(path)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def _matches(name: str, pattern: str) -> bool:

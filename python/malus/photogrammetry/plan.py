@@ -15,6 +15,7 @@ from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera, pairs_to_match
+from malus.photogrammetry.photos import require_usable_masks
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import require_scale
 
@@ -49,11 +50,18 @@ def _scale_line(station: Mapping[str, Any]) -> str:
 
 
 def plan(
-    station: Mapping[str, Any], options: Options, threads: int, station_mpx: float, *, silhouettes: int = 0
+    station: Mapping[str, Any],
+    options: Options,
+    threads: int,
+    station_mpx: float,
+    *,
+    silhouettes: int = 0,
+    read_masks: bool = True,
 ) -> Plan:
     """What would be done for a station, as `Station.describe` returns it, with an image of `station_mpx` megapixels.
 
     silhouettes: outlines of the object beside those that masks of photos give, as of other stations on a turntable.
+    read_masks: whether to read the masks of photos for what is wrong with them, which can take half a second for each.
 
     Raises the errors that a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
@@ -77,6 +85,8 @@ def plan(
     names = [photo.name for photo in photos]
     require_control_points(station, names)
     require_scale(station, names)
+    if read_masks:
+        require_usable_masks(photos)
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)

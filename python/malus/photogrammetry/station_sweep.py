@@ -115,8 +115,8 @@ _KEPT = ["sweep_kept_depth.tif", "sweep_kept_sigma.tif", _SHAPE]
 _AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confidence.tif", _SHAPE]
 
 
-#: A photo in the messages of malus.stereo.sweep: its index among those that the sweep got.
-_INDEX = re.compile(r"(?<=^surface sweep: photo )\d+")
+#: A photo in the messages of malus.stereo.sweep, with its index among those that the sweep got.
+_VIEW = re.compile(r"(?<=^surface sweep: )views\[(\d+)\]")
 #: File of a mask, and the values of its image's camera.
 _Silhouette = tuple[str, Any]
 
@@ -203,7 +203,9 @@ class _Sweep:
         )  # fmt: skip
 
     def _blamed(self, silhouettes: list[_Silhouette]) -> str:
-        """Says for the error which masks keep the others from having a hull, or all masks if leaving out some does not help."""
+        """Says for the error which masks keep the others from having a hull, or all masks if leaving out some does not help. Two that
+        contradict each other are both named.
+        """
 
         def others_have_one(left_out: Sequence[str]) -> bool:
             try:
@@ -213,8 +215,19 @@ class _Sweep:
             return True
 
         masks = [mask for mask, _ in silhouettes]
-        blamed = _without_which(masks, len(masks) - _core.least_silhouettes, others_have_one)
-        return f"without {listed(blamed)} there is a visual hull" if blamed else f"masks: {listed(masks)}"
+        most = len(masks) - _core.least_silhouettes
+        blamed = _without_which(masks, most, others_have_one)
+        if not blamed:
+            return f"masks: {listed(masks)}"
+        if len(blamed) == 1:
+            # Of two outlines that do not meet, leaving out either one helps, though both may be wrong.
+            instead = _without_which([mask for mask in masks if mask not in blamed], most, others_have_one)
+            if len(instead) == 1:
+                return (
+                    f"{blamed[0]} and {instead[0]} contradict each other: there is a visual hull without the one, and without the "
+                    "other; look at both"
+                )
+        return f"without {listed(blamed)} there is a visual hull"
 
     def _write(self, outputs: Sequence[str], rasters: Sequence[NDArray[np.float32]]) -> None:
         for name, values in zip(outputs, rasters, strict=True):
@@ -253,7 +266,7 @@ class _Sweep:
 
     def _named(self, message: str) -> str:
         """A message of the sweep with the name of the photo's file, which is what people know."""
-        return _INDEX.sub(lambda index: self.cameras.photos[int(index[0])][0].name, message)
+        return _VIEW.sub(lambda view: f"photo {self.cameras.photos[int(view[1])][0].name}", message)
 
     def first(self, settings: Mapping[str, Any]) -> Swept:
         """The first sweep, near the triangulated points."""

@@ -12,6 +12,7 @@ from malus.studio.settings import options_of
 
 #: Fields of the page, and patterns of the messages that concern them; the first match counts.
 _FIELDS = (
+    ("photos", r"\[photos\] masks"),
     ("object", r"\[object\]"),
     ("unit", r"\[station\] unit|\bunit = "),
     ("mask", r"\bmask\b"),

@@ -11,18 +11,17 @@ from typing import Any, Self
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT, InlineTable, Item, Key, Null, Table, Whitespace
+from tomlkit.items import AoT, InlineTable, Item, Key, Table, Whitespace
 
 from malus._files import read_regular, reading, write_bytes
 from malus.errors import InputError
+from malus.studio.table_list import text_with_list
+from malus.studio.toml_body import assign, last_body, text_of
 
 #: Tables that may occur any number of times in a station file.
 LISTS = ("scale", "control", "patch", "profile")
 #: Tables that occur once; all other names from the page are refused.
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
-
-#: What tomlkit has of a table or file: values with their keys, and blank lines and comments without.
-_Body = list[tuple[Key | None, Item]]
 
 
 class ChangedError(InputError):
@@ -72,7 +71,7 @@ class TomlDocument:
             part = self._document.body[place][1]
             if not isinstance(part, Table | InlineTable):
                 raise InputError(f"{self.path}: {table} is no table, expected [{table}]")
-            _assign(part, key, value)
+            assign(part, key, value)
             if not part:
                 self._remove(place)
 
@@ -116,9 +115,9 @@ class TomlDocument:
         return [place for place, (key, _) in enumerate(self._document.body) if key is not None and key.key == name]
 
     def _remove(self, place: int) -> None:
-        """Remove a table or list, except what stands behind its last key, such as the comment on the next table."""
+        """Remove a table, except what stands behind its last key, such as the comment on the next table."""
         item = self._document.body[place][1]
-        left = _text_of(_last_body(item)) if isinstance(item, Table | AoT) else ""
+        left = text_of(last_body(item)) if isinstance(item, Table) else ""
         self._document.body[place] = (None, Whitespace(left.lstrip("\r\n")))
         # tomlkit's index of the body still has the table.
         self._document = tomlkit.parse(self.text)
@@ -144,38 +143,16 @@ class StationDocument(TomlDocument):
         super().set(table, key, value)
 
     def set_list(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Replace the tables [[name]] by `entries`; tables that stay in place keep their comments."""
+        """Replace the tables [[name]] by `entries`; tables that stay keep their comments."""
         if name not in LISTS:
             raise InputError(f"[[{name}]] is no list of a station file, expected one of {', '.join(LISTS)}")
         with self._changing(name):
             self._replace(name, entries)
 
     def _replace(self, name: str, entries: Sequence[Mapping[str, Any]]) -> None:
-        if name not in self._document:
-            if not entries:
-                return
-            self._document[name] = tomlkit.aot()
-        present = self._document[name]
-        if not isinstance(present, AoT):
+        if name in self._document and not isinstance(self._document[name], AoT):
             raise InputError(f"{self.path}: {name} is no list of tables, expected [[{name}]]")
-        if not entries:
-            self._remove(self._places(name)[0])
-            return
-        for index, entry in enumerate(entries):
-            if index == len(present):
-                added = tomlkit.table()
-                left = _cut_behind(_last_body(present)) if present else ""
-                if left:
-                    _last_body(present).append((None, Whitespace("\n")))
-                    added.value.body.append((None, Whitespace(left)))
-                present.append(added)
-            table = present[index]
-            for key in [*(key for key in table if key not in entry), *entry]:
-                _assign(table, key, entry.get(key))
-        if len(present) > len(entries):
-            left = _text_of(_last_body(present))
-            del present[len(entries) :]
-            _last_body(present).append((None, Whitespace(left)))
+        self._document = tomlkit.parse(text_with_list(self._document, name, entries))
 
     def require(self, expected: str | None) -> None:
         """Raise ChangedError unless the file has the digest `expected`. None = no file must exist, else InputError."""
@@ -202,85 +179,3 @@ def digest_of(text: str) -> str:
 def _is_prefix(key: Key | None, part: Item) -> bool:
     """Whether a part of a table has neither a header nor dotted keys, as that of [photos.camera] in [photos]."""
     return isinstance(part, Table) and part.is_super_table() and not (key and key.is_dotted())
-
-
-def _first_header(item: Item) -> Item:
-    """The table whose header is written first for a table or list."""
-    if isinstance(item, AoT):
-        return item[0]
-    if not (isinstance(item, Table) and item.is_super_table()):
-        return item
-    inner = (within for _, within in item.value.body if isinstance(within, Table | AoT))
-    return next(map(_first_header, inner), item)
-
-
-def _last_body(item: Table | AoT) -> _Body:
-    """The body of the table that stands last in a table or list."""
-    table = item[len(item) - 1] if isinstance(item, AoT) else item
-    body: _Body = table.value.body
-    return _last_body(body[-1][1]) if body and isinstance(body[-1][1], Table | AoT) else body
-
-
-def _behind(body: _Body) -> int:
-    """Where the blank lines and comments behind the last key begin, also if the key was removed."""
-    last = (at for at in range(len(body), 0, -1) if body[at - 1][0] is not None or isinstance(body[at - 1][1], Null))
-    return next(last, 0)
-
-
-def _text_of(body: _Body) -> str:
-    """The text behind the last key."""
-    return "".join(item.as_string() for _, item in body[_behind(body) :])
-
-
-def _cut_behind(body: _Body) -> str:
-    """Remove the first blank line behind the last key and what follows, such as the comment on the next table; returns its text."""
-    begin = next((at for at in range(_behind(body), len(body)) if isinstance(body[at][1], Whitespace)), len(body))
-    text = "".join(item.as_string() for _, item in body[begin:])
-    del body[begin:]
-    return text
-
-
-def _add(table: Table, key: str, item: Item) -> None:
-    """Add a key. The comment on the next table stays before that."""
-    body = table.value.body
-    inner = next(
-        (
-            at
-            for at, (k, v) in enumerate(body)
-            if isinstance(v, AoT) or (k and isinstance(v, Table) and not k.is_dotted())
-        ),
-        None,
-    )
-    if inner is None:
-        left = _cut_behind(body)
-        table[key] = item
-        body.append((None, Whitespace(left)))
-        return
-    own = body[:inner]
-    left = _cut_behind(own)
-    # The places of the tables behind stay: tomlkit has an index of them.
-    body[len(own) : inner] = [(None, Null())] * (inner - len(own))
-    header = _first_header(body[inner][1])
-    header.trivia.indent = left + header.trivia.indent
-    table[key] = item
-
-
-def _assign(table: Table | InlineTable, key: str, value: Any) -> None:
-    if value is None:
-        table.pop(key, None)
-        return
-    if key in table and table.unwrap()[key] == value:
-        return
-    item = tomlkit.item(value)
-    if isinstance(value, list) and value and isinstance(value[0], Mapping):
-        # Marks are written as inline tables, one per line.
-        item = tomlkit.array()
-        for entry in value:
-            inline = tomlkit.inline_table()
-            inline.update(entry)
-            item.append(inline)
-        item.multiline(True)
-    if key in table or isinstance(table, InlineTable):
-        table[key] = item
-    else:
-        _add(table, key, item)

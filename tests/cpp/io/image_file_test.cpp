@@ -2,6 +2,7 @@
 #include <tiffio.h>
 #include <unistd.h>
 
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -397,6 +398,39 @@ TEST(ImageFile, LabelsOfTwoBitsAreNotScaled) {
     EXPECT_EQ(labels(u, 0), u);
     EXPECT_EQ(gray(u, 0), 85 * u) << "white is 255 elsewhere";
   }
+}
+
+TEST(ImageFile, RefusesLabelsOfAPaletteInWords) {
+  const TemporaryFolder folder;
+  // A PNG of 4 x 1 pixels of 2 bits, which are places in a table of black, red and blue: 0, 1, 2, 0.
+  constexpr unsigned char png[] = {
+      0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48, 0x44, 0x52, 0x00, 0x00,
+      0x00, 0x04, 0x00, 0x00, 0x00, 0x01, 0x02, 0x03, 0x00, 0x00, 0x00, 0x84, 0x52, 0xe7, 0x5e, 0x00, 0x00, 0x00,
+      0x09, 0x50, 0x4c, 0x54, 0x45, 0x00, 0x00, 0x00, 0xc8, 0x00, 0x00, 0x00, 0x00, 0x5a, 0xf5, 0x66, 0xcd, 0xf3,
+      0x00, 0x00, 0x00, 0x0a, 0x49, 0x44, 0x41, 0x54, 0x78, 0x9c, 0x63, 0x90, 0x00, 0x00, 0x00, 0x1a, 0x00, 0x19,
+      0x2d, 0x88, 0xf4, 0x36, 0x00, 0x00, 0x00, 0x00, 0x49, 0x45, 0x4e, 0x44, 0xae, 0x42, 0x60, 0x82};
+  const std::filesystem::path path = folder.write("label.png", {reinterpret_cast<const char*>(png), sizeof png});
+  expect_error(
+      ErrorCode::input, [&] { read_labels(path); }, "label image " + path.string() + " has a palette", "gray");
+  const Mask mask = read_mask(path);
+  EXPECT_EQ(mask(0, 0), 0);
+  EXPECT_EQ(mask(1, 0), 255) << "in a mask the color counts";
+  EXPECT_EQ(mask(2, 0), 255);
+  EXPECT_EQ(mask(3, 0), 0);
+
+  const std::string name = (folder / "label.tif").string();
+  TIFF* tiff = TIFFOpen(name.c_str(), "w");
+  std::vector<std::uint16_t> table(256);
+  TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, 4);
+  TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, 1);
+  TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+  TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_PALETTE);
+  TIFFSetField(tiff, TIFFTAG_COLORMAP, table.data(), table.data(), table.data());
+  std::array<std::uint8_t, 4> row{0, 1, 2, 0};
+  ASSERT_GE(TIFFWriteEncodedStrip(tiff, 0, row.data(), row.size()), 0);
+  TIFFClose(tiff);
+  expect_error(
+      ErrorCode::input, [&] { read_mask(name); }, "mask " + name, "has a palette", "expected gray or RGB");
 }
 
 TEST(ImageFile, DistinguishesMasksFromPhotographs) {

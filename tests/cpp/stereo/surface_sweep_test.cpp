@@ -288,9 +288,9 @@ TEST(SweepOfBumps, RefusesMissingAndMismatchedInput) {
 
   std::vector<SweepView> views = bumpy().views;
   views[2].intensity(3, 3) = std::numeric_limits<float>::infinity();
-  expect_error(ErrorCode::input, sweep(bumpy().input, views), "photo 2: intensities must be finite");
+  expect_error(ErrorCode::input, sweep(bumpy().input, views), "sweep: views[2]: intensities must be finite");
   views[2].intensity = Image<float>({5, 5});
-  expect_error(ErrorCode::input, sweep(bumpy().input, views), "photo 2 is 5 x 5 pixels, expected 190 x 140");
+  expect_error(ErrorCode::input, sweep(bumpy().input, views), "sweep: views[2] is 5 x 5 pixels, expected 190 x 140");
 
   SweepOptions options = test_options();
   options.window_radius = 9;

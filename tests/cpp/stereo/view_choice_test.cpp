@@ -49,7 +49,7 @@ TEST(ViewChoice, WarnsOnceOfALensThatAllPhotosShare) {
   context.on_log = [&](LogLevel, const std::string& message) { told.push_back(message); };
   const ViewChoice photos(scene.input, scene.views, test_options(), context);
   ASSERT_EQ(told.size(), 1U);
-  EXPECT_NE(told[0].find("photo 1 and 2 more: the lens is approximated to "), std::string::npos) << told[0];
+  EXPECT_NE(told[0].find("sweep: views[1] and 2 more: the lens is approximated to "), std::string::npos) << told[0];
 }
 
 TEST(ViewChoice, HoldsOneLevelOfEachPhotoAndFreesFloatsAtFullSize) {
