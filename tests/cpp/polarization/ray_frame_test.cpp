@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "malus/polarization/slopes_of_depth_internal.h"
+
 namespace malus {
 namespace {
 
