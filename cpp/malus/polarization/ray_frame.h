@@ -16,6 +16,8 @@ struct Slopes {
 
   double tan2() const { return p * p + q * q; }
   double azimuth_rad() const { return std::atan2(q, p); }
+  /// tan²θ (cos 2φ, sin 2φ) with the azimuth φ: the direction in which the polarization (s1, s2) lies.
+  Eigen::Vector2d direction() const { return {p * p - q * q, 2 * p * q}; }
 };
 
 /// Frame of one pixel's ray, in the camera frame: zenith and azimuth of a normal, and so the phase of polarization,
