@@ -79,7 +79,7 @@ void bind_assess(py::module_& module) {
       "fit_patch",
       [](const Image<float>& depth, const RasterView& view, int x0, int y0, int x1, int y1, double gsd) -> py::object {
         const std::optional<PatchFit> fit = computed(1, [&](const Context& context) {
-          return fit_patch(depth, view.camera, {"patch", x0, y0, x1, y1}, gsd, {}, context);
+          return fit_patch(depth, view.camera, {"patch", {x0, y0, x1, y1}}, gsd, {}, context);
         });
         if (!fit) return py::none();
         py::dict result;

@@ -170,6 +170,76 @@ def test_installed_headers_are_few_and_stand_alone() -> None:
         assert set(included) <= installed.keys(), name
 
 
+def declarations(header: str) -> list[str]:
+    """Declarations of a C++ header, each in one line, without the bodies of functions."""
+    header = re.sub(r'"(\\.|[^"\\\n])*"', '""', header)
+    header = re.sub(r"//.*|/\*[\s\S]*?\*/|^ *#(.*\\\n)*.*", "", header, flags=re.MULTILINE)
+    header = re.sub(
+        r"\b(public|private|protected):|\b(alignas|decltype|explicit|noexcept|[A-Z_\d]{2,})\([^()]*\)", "", header
+    )
+    scope = re.compile(r"\s*(template\s*<[^()]*>\s*)?(inline\s+)?(namespace|class|struct|union|extern)\b[^()=]*")
+
+    def without_braces(block: re.Match[str]) -> str:
+        head, body = block.groups()
+        if scope.fullmatch(head):
+            return f";{body};"
+        is_value_of_argument = head.count("(") > head.count(")")
+        return head if is_value_of_argument else f"{head};"
+
+    braces = 1
+    while braces:
+        header, braces = re.subn(r"(?:^|(?<=[;{]))([^;{}]*)\{([^{}]*)\}", without_braces, header)
+    return [line for part in header.split(";") if (line := " ".join(part.split())) and not line.startswith(",")]
+
+
+def argument_count(declaration: str) -> int:
+    """Of a function; 0 for any other declaration."""
+    declaration = re.sub(r"operator *(\(\)|[^\w\s(]+)", "operator", declaration)
+    found = 1
+    while found:
+        declaration, found = re.subn(r"<[^<>]*>", "", declaration)
+    listed = re.match(r"[^=(]*\(((?:[^()]|\([^()]*\))*)\)", declaration)
+    return len(re.sub(r"\([^()]*\)", "", listed[1]).split(",")) if listed and listed[1].strip() else 0
+
+
+def test_no_call_of_an_installed_header_has_more_than_four_arguments() -> None:
+    """Decision 50. More are hard to tell apart where they are passed; they belong in a struct."""
+    counts = {
+        f"{name}: {declaration}": argument_count(declaration)
+        for name, file in installed_headers().items()
+        for declaration in declarations(file.read_text(encoding="utf-8"))
+    }
+    assert sum(count > 0 for count in counts.values()) > 100
+    assert [call for call, count in counts.items() if count > 4] == []
+
+
+def test_arguments_of_calls_are_counted() -> None:
+    header = r"""
+    #define MALUS_CALL(a, b) \
+      call(a, b, 1, 2, 3)
+    namespace malus {
+    /// As f(1, 2, 3, 4, 5).
+    template <class T>
+    class Box : public Base<T, int> {
+     public:
+      explicit Box(int a, std::map<int, std::array<int, 2>> b = {}) : a_{a}, b_(b, 1, 2, 3, 4) { call(1, 2, 3, 4, 5); }
+      T operator()(int u, int v) const { return [&](int x) { return f(u, v, x, 1, 2); }(3); }
+      bool operator==(const Box&) const = default;
+      MALUS_FIELDS(a, b, c, d, e)
+     private:
+      std::vector<int> a_{1, 2, 3, 4, 5};
+    };
+    enum class Kind { a, b, c, d, e };
+    void none();
+    inline const Box<int>& five(int a, double b = f(1, 2), const char* c = "f(,", Pose d = {1, 2},
+                                std::function<int(int, int)> e = {}) noexcept(true);
+    }
+    """
+    counts = {line: argument_count(line) for line in declarations(header)}
+    assert [count for count in counts.values() if count] == [2, 2, 1, 5]
+    assert max(counts, key=counts.__getitem__).startswith("inline const Box<int>& five(")
+
+
 def test_the_debian_package_suggests_what_linking_the_library_needs() -> None:
     """Without one of these find_package(malus) fails. CLI11 and jemalloc are for malus-station only."""
     suggested = re.search(r'SUGGESTS\s+"([^"]+)"', (ROOT / "cmake/MalusPackage.cmake").read_text(encoding="utf-8"))

@@ -117,6 +117,7 @@ def test_a_station_of_arrays_equals_that_of_a_file(pictures: list[np.ndarray], t
     for key in ("path", "files", "images"):
         del described[key]
     assert of_arrays.describe().items() >= described.items()
+    assert described["patches"] == [{"name": "label", "box": [3, 4, 20, 21]}]
     options = malus.Options(capture={"registration": "off"})
     works = [tmp_path / "of_file", tmp_path / "of_arrays"]
     expected, found = (

@@ -10,10 +10,10 @@ namespace malus {
 namespace {
 
 void require_inside(const PatchSpec& patch, Size size) {
-  const bool ordered = patch.x0 <= patch.x1 && patch.y0 <= patch.y1;
-  if (ordered && patch.x0 >= 0 && patch.y0 >= 0 && patch.x1 < size.width && patch.y1 < size.height) return;
-  throw input_error("[[patch]] \"" + patch.name + "\": box = [" + std::to_string(patch.x0) + ", " +
-                    std::to_string(patch.y0) + ", " + std::to_string(patch.x1) + ", " + std::to_string(patch.y1) +
+  const auto& [x0, y0, x1, y1] = patch.box;
+  if (x0 <= x1 && y0 <= y1 && x0 >= 0 && y0 >= 0 && x1 < size.width && y1 < size.height) return;
+  throw input_error("[[patch]] \"" + patch.name + "\": box = [" + std::to_string(x0) + ", " + std::to_string(y0) +
+                    ", " + std::to_string(x1) + ", " + std::to_string(y1) +
                     "], expected x0 <= x1 and y0 <= y1 inside the image of " + to_string(size) + " pixels");
 }
 
@@ -23,7 +23,7 @@ std::optional<PatchFit> fit_patch(const Image<float>& depth, const Pinhole& came
                                   const AssessOptions& options, const Context& context) {
   require_inside(patch, depth.size());
   std::vector<Eigen::Vector3d> points;
-  const PixelRect box{patch.x0, patch.y0, patch.x1 + 1, patch.y1 + 1};
+  const PixelRect box{patch.box[0], patch.box[1], patch.box[2] + 1, patch.box[3] + 1};
   for_each_pixel(box, [&](int u, int v) {
     const float z = depth(u, v);
     if (std::isfinite(z)) points.push_back(camera.ray(u, v) * static_cast<double>(z));

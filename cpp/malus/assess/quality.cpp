@@ -211,11 +211,8 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
     return depth.empty() ? std::nullopt : fit_patch(depth, surface.camera, patch, quality.gsd, options, context);
   };
   for (const PatchSpec& patch : input.patches) {
-    quality.patches.push_back({patch.name,
-                               {patch.x0, patch.y0, patch.x1, patch.y1},
-                               fit(prior, patch),
-                               fit(polarization, patch),
-                               fit(surface.depth, patch)});
+    quality.patches.push_back(
+        {patch.name, patch.box, fit(prior, patch), fit(polarization, patch), fit(surface.depth, patch)});
   }
   for (const ProfileSpec& profile : input.profiles) {
     quality.profiles.push_back(

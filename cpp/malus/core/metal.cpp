@@ -91,10 +91,10 @@ std::optional<std::string> expected_metal_with(const MetalStatement& metal, Refl
   return std::nullopt;
 }
 
-MetalStatement accepted_metal(const std::string& text, ReflectionChoice reflection, const std::string& name) {
+MetalStatement accepted_metal(const std::string& text, ReflectionChoice reflection) {
   const std::optional<MetalStatement> metal = read_metal_statement(text);
   const std::optional<std::string> expected = metal ? expected_metal_with(*metal, reflection) : expected_metal();
-  if (expected) throw input_error(name + " = \"" + text + "\", expected " + *expected);
+  if (expected) throw input_error("optics.metal = \"" + text + "\", expected " + *expected);
   return *metal;
 }
 

@@ -31,7 +31,7 @@ std::string expected_metal();
 /// What is expected in place of a stated metal that contradicts this kind of reflection; nothing if it does not.
 std::optional<std::string> expected_metal_with(const MetalStatement& metal, ReflectionChoice reflection);
 
-/// The statement, if its text is accepted and fits the reflection; else throws an input error that names both.
-MetalStatement accepted_metal(const std::string& text, ReflectionChoice reflection, const std::string& name);
+/// What optics.metal says, if its text is accepted and fits the reflection; else throws an input error that names both.
+MetalStatement accepted_metal(const std::string& text, ReflectionChoice reflection);
 
 }  // namespace malus

@@ -18,7 +18,7 @@
 #include "malus/height/height_internal.h"
 #include "malus/linalg/sequential_blas_internal.h"
 #include "malus/linalg/stop_when_canceled_internal.h"
-#include "malus/polarization/ray_frame.h"
+#include "malus/polarization/slopes_of_depth_internal.h"
 
 namespace malus {
 namespace {

@@ -33,7 +33,7 @@ class LobeResidual : public ceres::SizedCostFunction<2, environment_nodes, 1, 1,
         linear_(linear),
         light_(light),
         eta_(eta),
-        diffuse_(fresnel_factors(sample.tan2(), eta).diffuse) {}
+        diffuse_(fresnel_factors(sample.slopes.tan2(), eta).diffuse) {}
 
   bool Evaluate(const double* const* parameters, double* residual, double** jacobians) const override {
     const double* environment = parameters[0];
@@ -77,11 +77,11 @@ class LobeResidual : public ceres::SizedCostFunction<2, environment_nodes, 1, 1,
     const Reflectance<T> r = fresnel_reflectance<T>(gh / half2, eta_);
     const T reflectance = (r.s + r.p) * 0.5, polarized = (r.s - r.p) * 0.5 / (gh + 1e-12);
     const T alpha2 = exp(2.0 * log_roughness);
-    const double slant2 = 1 + sample_.tan2();
-    const T dot = 1.0 + sample_.p * hp + sample_.q * hq;
+    const double slant2 = 1 + sample_.slopes.tan2();
+    const T dot = 1.0 + sample_.slopes.p * hp + sample_.slopes.q * hq;
     const T cos2 = dot * dot / (slant2 * half2) + 1e-6;
     const T x = exp(-(1.0 - cos2) / cos2 / alpha2) / (alpha2 * cos2 * cos2) * std::sqrt(slant2);
-    const Eigen::Vector2d direction = sample_.slope_direction();
+    const Eigen::Vector2d direction = sample_.slopes.direction();
     const T kx = strength * x / sample_.sigma;
     return {kx * (polarized * (hp * hp - hq * hq) + reflectance * diffuse_ * direction[0]),
             kx * (polarized * 2.0 * hp * hq + reflectance * diffuse_ * direction[1])};

@@ -22,13 +22,13 @@ Image<float> mirrored_light(const RefinementField& field, const Context& context
     const bool diffuse = field.kind(u, v) == Reflection::diffuse;
     if (!field.object(u, v) || !(diffuse || field.usable(u, v))) return;
     const Slopes slopes = central_slopes(field, u, v);
-    const double p = slopes.p, q = slopes.q, s0 = field.s0(u, v);
-    const PredictedStokes model = field.reflection_at(u, v).predict(p, q);
+    const double s0 = field.s0(u, v);
+    const PredictedStokes model = field.reflection_at(u, v).predict(slopes.p, slopes.q);
     mirrored(u, v) = static_cast<float>(model.mirrored / 2);
     if (!diffuse || !field.usable(u, v)) return;
     // With the mirrored light multiplied by c the Stokes components are body + c · change: linear in c.
-    const double degree = fresnel_factors(p * p + q * q, field.reflection.eta).diffuse;
-    const Eigen::Vector2d body = degree * Eigen::Vector2d(p * p - q * q, 2 * p * q);
+    const double degree = fresnel_factors(slopes.tan2(), field.reflection.eta).diffuse;
+    const Eigen::Vector2d body = degree * slopes.direction();
     const Eigen::Vector2d change = Eigen::Vector2d(model.s1, model.s2) / s0 - body;
     const Eigen::Vector2d left = Eigen::Vector2d(field.s1(u, v), field.s2(u, v)) / s0 - body;
     both(u, v) = static_cast<float>(left.dot(change));

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "malus/fusion/quad_costs_internal.h"
+#include "malus/polarization/slopes_of_depth_internal.h"
 
 namespace malus {
 namespace {

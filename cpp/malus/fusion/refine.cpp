@@ -217,7 +217,7 @@ RefineResult refine(const PolarizationState& state, const DepthPrior& prior, con
   RefinementImage image = make_image(state, prior, context);
   if (input.refractive_index)
     image.reflection.eta = accepted_refractive_index(*input.refractive_index, "optics.refractive_index");
-  const MetalStatement metal = accepted_metal(input.metal, input.reflection, "optics.metal");
+  const MetalStatement metal = accepted_metal(input.metal, input.reflection);
   RefineResult result;
   result.report.metal_excluded = metal.excluded;
   Refinement refinement(image, options, result.report, context);

@@ -8,15 +8,15 @@
 namespace malus {
 namespace {
 
-/// m = gain · (p² − q², 2 p q) added to a prediction.
-void add_slope_term(double gain, double gain_by_p, double gain_by_q, double p, double q, PredictedStokes& out) {
-  const double a = p * p - q * q, b = 2 * p * q;
-  out.s1 += gain * a;
-  out.s1_by_p += gain_by_p * a + gain * 2 * p;
-  out.s1_by_q += gain_by_q * a - gain * 2 * q;
-  out.s2 += gain * b;
-  out.s2_by_p += gain_by_p * b + gain * 2 * q;
-  out.s2_by_q += gain_by_q * b + gain * 2 * p;
+/// m = gain · (direction of the slopes) added to a prediction.
+void add_slope_term(double gain, double gain_by_p, double gain_by_q, const Slopes& slopes, PredictedStokes& out) {
+  const Eigen::Vector2d direction = slopes.direction();
+  out.s1 += gain * direction[0];
+  out.s1_by_p += gain_by_p * direction[0] + gain * 2 * slopes.p;
+  out.s1_by_q += gain_by_q * direction[0] - gain * 2 * slopes.q;
+  out.s2 += gain * direction[1];
+  out.s2_by_p += gain_by_p * direction[1] + gain * 2 * slopes.q;
+  out.s2_by_q += gain_by_q * direction[1] + gain * 2 * slopes.p;
 }
 
 }  // namespace
@@ -93,7 +93,7 @@ PredictedStokes PixelReflection::predict_mirroring(double p, double q) const {
   if (model_.metal_error == 0) out.body = std::max(s0_ - out.mirrored, 0.0);
   const double body_by_p = out.body > 0 ? -mirrored.by_p[0] : 0, body_by_q = out.body > 0 ? -mirrored.by_q[0] : 0;
   add_slope_term(out.body * f.diffuse, body_by_p * f.diffuse + out.body * f.diffuse_slope * 2 * p,
-                 body_by_q * f.diffuse + out.body * f.diffuse_slope * 2 * q, p, q, out);
+                 body_by_q * f.diffuse + out.body * f.diffuse_slope * 2 * q, {p, q}, out);
   out.s1 += mirrored.stokes[1];
   out.s1_by_p += mirrored.by_p[1];
   out.s1_by_q += mirrored.by_q[1];
@@ -125,7 +125,7 @@ PredictedStokes PixelReflection::predict_diffuse(double p, double q) const {
   const double gain_by_g =
       body_by_g * f.diffuse + out.body * f.diffuse_slope - e_by_g * f.specular - e * f.specular_slope;
   const double gain_by_x = body_by_x * f.diffuse;
-  add_slope_term(gain, gain_by_g * 2 * p + gain_by_x * x.by_p, gain_by_g * 2 * q + gain_by_x * x.by_q, p, q, out);
+  add_slope_term(gain, gain_by_g * 2 * p + gain_by_x * x.by_p, gain_by_g * 2 * q + gain_by_x * x.by_q, {p, q}, out);
   out.s1 -= k * lobe_.stokes1 * x.value;
   out.s1_by_p -= k * lobe_.stokes1 * x.by_p;
   out.s1_by_q -= k * lobe_.stokes1 * x.by_q;
@@ -145,7 +145,7 @@ PredictedStokes PixelReflection::predict_specular(double p, double q) const {
   PredictedStokes out;
   out.body = mirror_body_;
   out.mirrored = mirrored;
-  add_slope_term(gain, gain_by_g * 2 * p, gain_by_g * 2 * q, p, q, out);
+  add_slope_term(gain, gain_by_g * 2 * p, gain_by_g * 2 * q, {p, q}, out);
   return out;
 }
 

@@ -9,8 +9,7 @@ namespace malus {
 ReflectionSample sample_of(const PixelData& pixel, const Slopes& slopes, const RayFrame& frame) {
   constexpr double model_error = 0.003;  // of s0: error of any forward model
   const double s0 = pixel.s0;
-  return {slopes.p, slopes.q, s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0),
-          frame};
+  return {slopes, s0, pixel.s1, pixel.s2, std::sqrt(pixel.variance + model_error * model_error * s0 * s0), frame};
 }
 
 std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Reflection kind,
@@ -30,9 +29,9 @@ std::vector<ReflectionSample> collect_samples(const RefinementImage& image, Refl
 
 double error_of_slopes(const ReflectionSample& s, Reflection kind) {
   constexpr double slope_error = 0.03, usual_index = 1.5;
-  const FresnelFactors f = fresnel_factors(s.tan2(), usual_index);
+  const FresnelFactors f = fresnel_factors(s.slopes.tan2(), usual_index);
   const double degree = kind == Reflection::specular ? f.specular / f.reflectance : f.diffuse;
-  return slope_error * s.s0 * std::abs(degree) * 2 * std::sqrt(s.tan2());
+  return slope_error * s.s0 * std::abs(degree) * 2 * std::sqrt(s.slopes.tan2());
 }
 
 }  // namespace malus

@@ -10,15 +10,11 @@ namespace malus {
 
 /// A pixel as a sample for the fits of the shared reflection parameters, which take its slopes as known.
 struct ReflectionSample {
-  double p = 0, q = 0;
+  Slopes slopes;
   double s0 = 0, s1 = 0, s2 = 0;
   double sigma = 1;  ///< of s1 and s2: noise and a small relative model error
   RayFrame frame;
   bool other_finish = false;  ///< has the other of two finishes
-
-  double tan2() const { return p * p + q * q; }
-  /// (p² − q², 2 p q): the azimuth of the slopes' polarization, times tan².
-  Eigen::Vector2d slope_direction() const { return {p * p - q * q, 2 * p * q}; }
 };
 
 /// A pixel at these slopes.

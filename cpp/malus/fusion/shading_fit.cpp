@@ -42,7 +42,7 @@ Shading fit_shading(const std::vector<ReflectionSample>& samples) {
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     rows(i, 0) = 1;
-    rows.row(i).tail<3>() = s.frame.normal({s.p, s.q}).transpose();
+    rows.row(i).tail<3>() = s.frame.normal(s.slopes).transpose();
     values[i] = s.s0;
   }
   shading.harmonics.head<4>() = robust_fit(rows, values);
@@ -60,9 +60,9 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
   Eigen::VectorXd values(count);
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
-    rows.row(i) = shading_basis(s.frame.normal({s.p, s.q})).transpose();
+    rows.row(i) = shading_basis(s.frame.normal(s.slopes)).transpose();
     const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
-    values[i] = std::max(s.s0 - mirrored.at(s.p, s.q, s.frame).stokes[0], 0.0);
+    values[i] = std::max(s.s0 - mirrored.at(s.slopes.p, s.slopes.q, s.frame).stokes[0], 0.0);
   }
   // Errors are relative down to a tenth of the usual light. A metal has no body light.
   const double darkest = 0.1 * median(std::vector<double>(values.begin(), values.end()));

@@ -17,7 +17,8 @@ double body_spread(const std::vector<ReflectionSample>& samples, const MirrorRef
   constexpr double frontal_tan2 = 1.0 / 3;  // zenith below 30°
   std::vector<double> rest;
   for (const ReflectionSample& s : samples) {
-    if (s.tan2() < frontal_tan2) rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.tan2(), eta).reflectance);
+    if (s.slopes.tan2() < frontal_tan2)
+      rest.push_back(s.s0 - mirror.environment * fresnel_factors(s.slopes.tan2(), eta).reflectance);
   }
   return robust_spread_about(median(rest), rest) / mirror.body;
 }
@@ -31,9 +32,9 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
   std::vector<Eigen::Vector2d> offset(count), column(count);
   for (std::size_t i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[i];
-    const FresnelFactors f = fresnel_factors(s.tan2(), eta);
+    const FresnelFactors f = fresnel_factors(s.slopes.tan2(), eta);
     const double ratio = f.specular / f.reflectance;
-    const Eigen::Vector2d direction = s.slope_direction() / s.sigma;
+    const Eigen::Vector2d direction = s.slopes.direction() / s.sigma;
     offset[i] = Eigen::Vector2d(s.s1, s.s2) / s.sigma + s.s0 * ratio * direction;
     column[i] = (f.diffuse + ratio) * direction;
   }
@@ -56,7 +57,7 @@ SpecularFit fit_specular(const std::vector<ReflectionSample>& samples, double et
 
   std::vector<double> environment(count);
   for (std::size_t i = 0; i < count; ++i) {
-    environment[i] = (samples[i].s0 - body) / fresnel_factors(samples[i].tan2(), eta).reflectance;
+    environment[i] = (samples[i].s0 - body) / fresnel_factors(samples[i].slopes.tan2(), eta).reflectance;
   }
   std::vector<double> reordered = environment;
   const double top = 1.1 * std::max(quantile_in_place(reordered, 0.98), 1e-6);

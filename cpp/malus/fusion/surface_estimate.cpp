@@ -1,4 +1,5 @@
 #include "malus/fusion/surface_estimate_internal.h"
+#include "malus/polarization/slopes_of_depth_internal.h"
 
 namespace malus {
 

@@ -51,9 +51,10 @@ LinearSystem linearize(const std::vector<ReflectionSample>& samples, const Cells
   for (Eigen::Index i = 0; i < count; ++i) {
     const ReflectionSample& s = samples[static_cast<std::size_t>(i)];
     const double sigma = std::hypot(s.sigma, error_of_slopes(s, Reflection::diffuse));
-    lights.mirrored(s.p, s.q, s.frame, s.other_finish ? finishes.other : finishes.usual, material.index, response);
-    const double factor = material.is_metal() ? 0 : fresnel_factors(s.tan2(), material.index.real()).diffuse;
-    const Eigen::Vector2d diffuse = factor * s.slope_direction();
+    lights.mirrored(s.slopes.p, s.slopes.q, s.frame, s.other_finish ? finishes.other : finishes.usual, material.index,
+                    response);
+    const double factor = material.is_metal() ? 0 : fresnel_factors(s.slopes.tan2(), material.index.real()).diffuse;
+    const Eigen::Vector2d diffuse = factor * s.slopes.direction();
     system.rows.row(i) = (response.row(1) - static_cast<float>(diffuse[0]) * response.row(0)) / sigma;
     system.rows.row(count + i) = (response.row(2) - static_cast<float>(diffuse[1]) * response.row(0)) / sigma;
     system.values[i] = static_cast<float>((s.s1 - s.s0 * diffuse[0]) / sigma);

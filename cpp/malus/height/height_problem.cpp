@@ -193,16 +193,16 @@ HeightProblem::Residuals HeightProblem::residuals(int i, const Slopes& s) const 
   const double shading = (light[0] * s.p + light[1] * s.q + light[2]) / root;
   const double gain = stokes_gain(data, tan2), step = 1e-5 * (1 + tan2);
   const double gain_slope = (stokes_gain(data, tan2 + step) - gain) / step;  // by tan²θ
-  const double difference_pq = s.p * s.p - s.q * s.q, product = 2 * s.p * s.q;
+  const Eigen::Vector2d direction = s.direction();
   Residuals r;
-  r.value = {(shading + light_.coefficients[3] - i_un) / sigma_i, (gain * difference_pq - data.s1) / sigma_s,
-             (gain * product - data.s2) / sigma_s};
+  r.value = {(shading + light_.coefficients[3] - i_un) / sigma_i, (gain * direction[0] - data.s1) / sigma_s,
+             (gain * direction[1] - data.s2) / sigma_s};
   r.by_p = {(light[0] / root - shading * s.p / (1 + tan2)) / sigma_i,
-            (gain * 2 * s.p + gain_slope * 2 * s.p * difference_pq) / sigma_s,
-            (gain * 2 * s.q + gain_slope * 2 * s.p * product) / sigma_s};
+            (gain * 2 * s.p + gain_slope * 2 * s.p * direction[0]) / sigma_s,
+            (gain * 2 * s.q + gain_slope * 2 * s.p * direction[1]) / sigma_s};
   r.by_q = {(light[1] / root - shading * s.q / (1 + tan2)) / sigma_i,
-            (-gain * 2 * s.q + gain_slope * 2 * s.q * difference_pq) / sigma_s,
-            (gain * 2 * s.p + gain_slope * 2 * s.q * product) / sigma_s};
+            (-gain * 2 * s.q + gain_slope * 2 * s.q * direction[0]) / sigma_s,
+            (gain * 2 * s.p + gain_slope * 2 * s.q * direction[1]) / sigma_s};
   return r;
 }
 

@@ -7,7 +7,7 @@
 #include "malus/height/height_data_internal.h"
 #include "malus/linalg/grid_solver_internal.h"
 #include "malus/linalg/grid_system_internal.h"
-#include "malus/polarization/ray_frame.h"
+#include "malus/polarization/slopes_of_depth_internal.h"
 
 namespace malus {
 

@@ -144,25 +144,32 @@ std::string where_of(const std::filesystem::path& path, const InputFile& file) {
   return path.string() + " line " + std::to_string(file.line_number());
 }
 
-void read_cameras_text(Builder& builder) {
-  const auto path = builder.file("cameras.txt");
-  InputFile file(path, "COLMAP cameras");
+/// Calls `read` for every line that is no comment with its words, its place for messages, and the file, of which it may
+/// read further lines.
+template <class Read>
+void for_each_line(const std::filesystem::path& path, const char* what, Read&& read) {
+  InputFile file(path, what);
   for (std::string_view line; file.read_line(line);) {
     if (is_comment(line, {"#"})) continue;
     const std::string where = where_of(path, file);
-    Words words(line, where);
+    read(Words(line, where), where, file);
+  }
+}
+
+void read_cameras_text(Builder& builder) {
+  for_each_line(builder.file("cameras.txt"), "COLMAP cameras", [&](Words words, const std::string& where, InputFile&) {
     const auto id = words.number<std::uint32_t>("camera id");
     const std::string_view name = words.next();
     if (const ModelId* const known = known_model(&ModelId::name, name); known != nullptr && !known->supported) {
       builder.add_unsupported_camera(id, name);
-      continue;
+      return;
     }
     LensCamera camera;
     camera.model = lens_model(name, where + ": camera model");
     const auto width = words.number<std::uint64_t>("width"), height = words.number<std::uint64_t>("height");
     while (!words.done()) camera.params.push_back(words.number<double>("parameter"));
     builder.add_camera(id, std::move(camera), width, height, where);
-  }
+  });
 }
 
 std::vector<ColmapKeypoint> read_keypoints_text(std::string_view line, const std::string& where) {
@@ -177,11 +184,7 @@ std::vector<ColmapKeypoint> read_keypoints_text(std::string_view line, const std
 
 void read_images_text(Builder& builder, ColmapParts parts) {
   const auto path = builder.file("images.txt");
-  InputFile file(path, "COLMAP images");
-  for (std::string_view line; file.read_line(line);) {
-    if (is_comment(line, {"#"})) continue;
-    const std::string where = where_of(path, file);
-    Words words(line, where);
+  for_each_line(path, "COLMAP images", [&](Words words, const std::string& where, InputFile& file) {
     const auto id = words.number<std::uint32_t>("image id");
     ColmapImage image;
     std::array<double, 4> quaternion{};
@@ -191,20 +194,16 @@ void read_images_text(Builder& builder, ColmapParts parts) {
     image.camera_id = words.number<std::uint32_t>("camera id");
     image.name = words.rest();
     // The line after an image lists its keypoints and is empty where there are none.
+    std::string_view line;
     if (file.read_line(line) && parts == ColmapParts::everything) {
       image.keypoints = read_keypoints_text(line, where_of(path, file));
     }
     builder.add_image(id, std::move(image), where);
-  }
+  });
 }
 
 void read_points_text(Builder& builder) {
-  const auto path = builder.file("points3D.txt");
-  InputFile file(path, "COLMAP points");
-  for (std::string_view line; file.read_line(line);) {
-    if (is_comment(line, {"#"})) continue;
-    const std::string where = where_of(path, file);
-    Words words(line, where);
+  for_each_line(builder.file("points3D.txt"), "COLMAP points", [&](Words words, const std::string& where, InputFile&) {
     const auto id = words.number<std::uint64_t>("point id");
     ColmapPoint point;
     for (double& x : point.position) x = words.number<double>("position");
@@ -215,7 +214,7 @@ void read_points_text(Builder& builder) {
       point.track.emplace_back(image, keypoint);
     }
     builder.add_point(id, std::move(point), where);
-  }
+  });
 }
 
 // ---- binary, little-endian ----

@@ -16,8 +16,8 @@ PatchSpec read_patch(const TomlTable& table, std::string name, Size size) {
   if (!inside || box[0] > box[2] || box[1] > box[3]) {
     throw table.wrong("box", "x0 ≤ x1 and y0 ≤ y1 within the polarized image of " + to_string(size) + " pixels");
   }
-  return {std::move(name), static_cast<int>(box[0]), static_cast<int>(box[1]), static_cast<int>(box[2]),
-          static_cast<int>(box[3])};
+  return {std::move(name),
+          {static_cast<int>(box[0]), static_cast<int>(box[1]), static_cast<int>(box[2]), static_cast<int>(box[3])}};
 }
 
 ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
@@ -40,7 +40,7 @@ ProfileSpec read_profile(const TomlTable& table, std::string name, Size size) {
 
 void read_regions(const TomlTable& document, Size size, StationFile& station) {
   std::set<std::string> names;
-  for (const TomlTable& table : document.tables("patch", {"name", "box"}, "tables [[patch]]"))
+  for (const TomlTable& table : document.tables("patch", keys_of(PatchSpec{}), "tables [[patch]]"))
     station.patches.push_back(read_patch(table, read_name(table, station.patches.size(), names), size));
   names.clear();
   for (const TomlTable& table : document.tables("profile", keys_of(ProfileSpec{}), "tables [[profile]]"))

@@ -190,9 +190,9 @@ struct Resection {
 /// [[patch]]: flat reference area in the polarized image.
 struct PatchSpec {
   std::string name;
-  int x0 = 0, y0 = 0, x1 = 0, y1 = 0;  ///< corners, inclusive; in the file they are one list, `box`
+  std::array<int, 4> box{};  ///< x0, y0, x1, y1: corners, inclusive
 
-  MALUS_FIELDS(name, x0, y0, x1, y1)
+  MALUS_FIELDS(name, box)
 };
 
 /// [[profile]]: a section line, pixels of the polarized image.

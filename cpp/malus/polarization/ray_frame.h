@@ -16,6 +16,8 @@ struct Slopes {
 
   double tan2() const { return p * p + q * q; }
   double azimuth_rad() const { return std::atan2(q, p); }
+  /// tan²θ (cos 2φ, sin 2φ) with the azimuth φ: the direction in which the polarization (s1, s2) lies.
+  Eigen::Vector2d direction() const { return {p * p - q * q, 2 * p * q}; }
 };
 
 /// Frame of one pixel's ray, in the camera frame: zenith and azimuth of a normal, and so the phase of polarization,
@@ -45,36 +47,6 @@ inline RayFrame ray_frame(const Eigen::Vector3d& ray) {
 /// Frame of a pixel. Without a camera (null) the view is orthographic: all rays are parallel to the optical axis.
 inline RayFrame ray_frame(const Pinhole* camera, double u, double v) {
   return camera != nullptr ? ray_frame(camera->ray(u, v)) : RayFrame{};
-}
-
-/// Slopes of one pixel as an affine function of two derivatives of the surface along u and v.
-struct AffineSlopes {
-  Slopes constant, per_u, per_v;
-
-  Slopes operator()(double derivative_u, double derivative_v) const {
-    return {constant.p + per_u.p * derivative_u + per_v.p * derivative_v,
-            constant.q + per_u.q * derivative_u + per_v.q * derivative_v};
-  }
-};
-
-/// Slopes from the derivatives along u and v of a height in GSD, positive towards the camera, in an orthographic view
-/// (RayFrame's default). With a camera whose pixels are not square, a pixel is focal() / fx GSD wide and focal() / fy
-/// high; without a camera (null) pixels are square.
-inline AffineSlopes slopes_of_height(const Pinhole* camera) {
-  const double per_width = camera != nullptr ? camera->fx / camera->focal() : 1;
-  const double per_height = camera != nullptr ? camera->fy / camera->focal() : 1;
-  return {{0, 0}, {-per_width, 0}, {0, per_height}};
-}
-
-/// Slopes from the derivatives of scale · ln z along u and v; `frame` is that of the pixel's ray. With L = ln z, the
-/// normal n = (fx L_u, fy L_v, −1 − (u−cx) L_u − (v−cy) L_v) has n · view = 1 / |r|, r = the pixel's ray with z = 1, so
-/// that P = |r| n · right and Q = |r| n · up are affine.
-inline AffineSlopes slopes_of_log_depth(const Pinhole& camera, const RayFrame& frame, double u, double v,
-                                        double scale) {
-  const double length = camera.ray(u, v).norm(), per_derivative = length / scale;
-  const auto project = [&](const Eigen::Vector3d& n) { return Slopes{n.dot(frame.right), n.dot(frame.up)}; };
-  return {project({0, 0, -length}), project(per_derivative * Eigen::Vector3d(camera.fx, 0, camera.cx - u)),
-          project(per_derivative * Eigen::Vector3d(0, camera.fy, camera.cy - v))};
 }
 
 }  // namespace malus

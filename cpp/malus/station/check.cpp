@@ -188,7 +188,7 @@ std::string describe_images(const Station& station) {
 
 /// What a stated metal means for the fusion, in words; nothing without one.
 std::string describe_metal(const OpticsSpec& optics, Fusion fusion) {
-  const MetalStatement metal = accepted_metal(optics.metal, optics.reflection, "optics.metal");
+  const MetalStatement metal = accepted_metal(optics.metal, optics.reflection);
   if (!metal.names_metal()) return {};
   if (fusion == Fusion::grid)
     return "the surface of a dielectric: optics.metal = \"" + metal.text + "\" changes the refinement only";

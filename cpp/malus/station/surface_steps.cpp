@@ -7,6 +7,7 @@
 #include "malus/assess/assessed_confidence_internal.h"
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/length_unit_internal.h"
+#include "malus/core/metal_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
 #include "malus/fusion/grid_fusion_internal.h"
 #include "malus/fusion/grid_optimization_internal.h"
@@ -175,14 +176,15 @@ FusedSurface fuse_by_grid(const Job& job, const HeightMap& height, const DepthPr
                            .cell_px = job.options.grid.grid_px},
                           job.options.optimize, job.context);
   }
-  if (!job.station.file.optics.refractive_index) {
+  const OpticsSpec& optics = job.station.file.optics;
+  if (!optics.refractive_index) {
     std::ostringstream message;
     message << "optics.refractive_index = \"auto\": only the refinement estimates it; zenith and height were made with "
             << reflection.refractive_index;
     surface.warnings.push_back(message.str());
   }
-  if (const std::string& metal = job.station.file.optics.metal; metal != "auto" && metal != "none") {
-    surface.warnings.push_back("optics.metal = \"" + metal +
+  if (accepted_metal(optics.metal, optics.reflection).names_metal()) {
+    surface.warnings.push_back("optics.metal = \"" + optics.metal +
                                "\": only the refinement treats the object as bare metal; with this method its zenith "
                                "and height are those of a dielectric.");
   }

@@ -50,7 +50,7 @@ struct Case {
     input.prior = &prior;
     input.height = &height;
     input.polarization = &state;
-    input.patches = {{"flat", 50, 50, 99, 89}};
+    input.patches = {{"flat", {50, 50, 99, 89}}};
     input.profiles = {{"1", {30, 70}, {180, 70}}};
     input.registration_rms_px = {0, 0.02};
   }

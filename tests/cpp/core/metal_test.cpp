@@ -33,13 +33,13 @@ TEST(Metal, OtherTextsAreRefused) {
     EXPECT_FALSE(read_metal_statement(text)) << text;
   const auto refused = [](const char* text, ReflectionChoice reflection, const auto&... parts) {
     expect_error(
-        ErrorCode::input, [&] { accepted_metal(text, reflection, "optics.metal"); }, parts...);
+        ErrorCode::input, [&] { accepted_metal(text, reflection); }, parts...);
   };
   refused("bronz", ReflectionChoice::automatic, "optics.metal = \"bronz\"", "\"bronze\"", "k from 0.5 to 20");
   refused("gold", ReflectionChoice::diffuse, "optics.metal = \"gold\"", "reflection = \"diffuse\"");
   refused("gold", ReflectionChoice::labels, "labels of the reflection");
-  EXPECT_EQ(accepted_metal("none", ReflectionChoice::diffuse, "optics.metal").text, "none");
-  EXPECT_TRUE(accepted_metal("gold", ReflectionChoice::specular, "optics.metal").names_metal());
+  EXPECT_EQ(accepted_metal("none", ReflectionChoice::diffuse).text, "none");
+  EXPECT_TRUE(accepted_metal("gold", ReflectionChoice::specular).names_metal());
 }
 
 }  // namespace

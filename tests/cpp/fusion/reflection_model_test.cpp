@@ -10,7 +10,7 @@
 #include "malus/fusion/refinement_field_internal.h"
 #include "malus/fusion/reflection_model_internal.h"
 #include "malus/polarization/fresnel.h"
-#include "malus/polarization/ray_frame.h"
+#include "malus/polarization/slopes_of_depth_internal.h"
 
 namespace malus {
 namespace {

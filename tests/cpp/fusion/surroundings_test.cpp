@@ -111,14 +111,14 @@ std::vector<ReflectionSample> samples_under_window(const MirroredLightTable& tab
   std::vector<ReflectionSample> samples;
   for (int i = 0; i < count; ++i) {
     ReflectionSample s;
-    s.p = slope(random);
-    s.q = slope(random);
+    const double p = slope(random), q = slope(random);
+    s.slopes = {p, q};
     s.frame = ray_frame(&camera, column(random), row(random));
-    const MirroredLight light = table.at(s.p, s.q, s.frame);
-    const double d = body(random), factor = fresnel_factors(s.tan2(), index).diffuse;
+    const MirroredLight light = table.at(p, q, s.frame);
+    const double d = body(random), factor = fresnel_factors(s.slopes.tan2(), index).diffuse;
     s.s0 = d + light.stokes[0];
-    s.s1 = d * factor * (s.p * s.p - s.q * s.q) + light.stokes[1] + noise(random);
-    s.s2 = d * factor * 2 * s.p * s.q + light.stokes[2] + noise(random);
+    s.s1 = d * factor * (p * p - q * q) + light.stokes[1] + noise(random);
+    s.s2 = d * factor * 2 * p * q + light.stokes[2] + noise(random);
     if (i % 20 == 0) s.s1 += 0.2;
     s.sigma = 0.002;
     samples.push_back(s);
@@ -136,9 +136,9 @@ TEST(Surroundings, AreEstimatedFromTheirMirrorImage) {
   const MirroredLightTable found(fit.surroundings, 1.5, camera, Context{});
   double error = 0, size = 0;
   for (const ReflectionSample& s : samples) {
-    if (s.tan2() > 0.5) continue;
-    const Eigen::Vector3d wanted = table.at(s.p, s.q, s.frame).stokes;
-    error += (found.at(s.p, s.q, s.frame).stokes - wanted).tail<2>().squaredNorm();
+    if (s.slopes.tan2() > 0.5) continue;
+    const Eigen::Vector3d wanted = table.at(s.slopes.p, s.slopes.q, s.frame).stokes;
+    error += (found.at(s.slopes.p, s.slopes.q, s.frame).stokes - wanted).tail<2>().squaredNorm();
     size += wanted.tail<2>().squaredNorm();
   }
   EXPECT_LT(std::sqrt(error / size), 0.1);
@@ -157,8 +157,8 @@ TEST(Surroundings, AreSmoothDespiteWrongSlopes) {
   std::mt19937 random(7);
   std::normal_distribution<double> error(0, 0.05);
   for (ReflectionSample& s : samples) {
-    s.p += error(random);
-    s.q += error(random);
+    s.slopes.p += error(random);
+    s.slopes.q += error(random);
   }
   const Image<float> map =
       fit_surroundings(samples, {1.5}, std::array{Finishes{0.2}}, {}, Context{}).surroundings.radiance;
@@ -190,14 +190,14 @@ TEST(Surroundings, BodyShadingIsFittedWithoutTheMirroredLight) {
   std::vector<ReflectionSample> samples = samples_under_window(table, 1.5);
   const Eigen::Vector3d light = Eigen::Vector3d(0.9, -0.1, -0.4).normalized();
   const auto lit = [&](const ReflectionSample& s) {
-    return 0.05 + 0.5 * std::max(s.frame.normal({s.p, s.q}).dot(light), 0.0);
+    return 0.05 + 0.5 * std::max(s.frame.normal(s.slopes).dot(light), 0.0);
   };
-  for (ReflectionSample& s : samples) s.s0 = lit(s) + table.at(s.p, s.q, s.frame).stokes[0];
+  for (ReflectionSample& s : samples) s.s0 = lit(s) + table.at(s.slopes.p, s.slopes.q, s.frame).stokes[0];
   const ShadingHarmonics shading = fit_body_shading(samples, model);
   // Only ratios of shading are known.
   std::vector<double> logs, errors;
   for (const ReflectionSample& s : samples)
-    logs.push_back(log_shading(shading, s.frame, s.p, s.q).value - std::log(lit(s)));
+    logs.push_back(log_shading(shading, s.frame, s.slopes.p, s.slopes.q).value - std::log(lit(s)));
   const double usual = median(logs);
   for (const double value : logs) errors.push_back(std::abs(value - usual));
   EXPECT_LT(median(errors), 0.1);

@@ -93,7 +93,7 @@ TEST_F(StationFileTest, ReadsACompleteStation) {
   EXPECT_EQ(station.camera->lens.params, (std::vector<double>{100, 101, 5.5, 4.0})) << "COLMAP's convention minus 0.5";
   EXPECT_EQ(station.camera->pose.translation, Eigen::Vector3d(0, 0, 50));
   ASSERT_EQ(station.patches.size(), 1u);
-  EXPECT_EQ(station.patches[0].x1, 11);
+  EXPECT_EQ(station.patches[0].box, (std::array{1, 2, 11, 7}));
   ASSERT_EQ(station.profiles.size(), 1u);
   EXPECT_EQ(station.profiles[0].name, "1");
   EXPECT_EQ(station.profiles[0].to[1], 7);

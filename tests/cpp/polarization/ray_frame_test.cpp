@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "malus/polarization/slopes_of_depth_internal.h"
+
 namespace malus {
 namespace {
 
@@ -26,6 +28,9 @@ TEST(RayFrame, SlopesAndNormalsInvertEachOther) {
   const Slopes slopes = frame.slopes(frame.normal({0.4, -0.7}));
   EXPECT_NEAR(slopes.p, 0.4, 1e-12);
   EXPECT_NEAR(slopes.q, -0.7, 1e-12);
+  const double twice_azimuth = 2 * slopes.azimuth_rad();
+  const Eigen::Vector2d direction(std::cos(twice_azimuth), std::sin(twice_azimuth));
+  EXPECT_TRUE(slopes.direction().isApprox(slopes.tan2() * direction, 1e-12));
   EXPECT_NEAR(std::acos(frame.normal(slopes).dot(frame.view)), std::atan(std::sqrt(slopes.tan2())), 1e-12);
 }
 
