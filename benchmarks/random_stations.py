@@ -6,7 +6,8 @@ RENDERER: the folder of the path tracer, by default rendered/renderer (its READM
 interpreter. For each station the following are drawn, from --seed and the station's number alone: the scene and the object's own seed;
 the light; the roughness and refractive index of dielectrics, and whether the station file has the true index or 1.5; full well and read
 noise of the sensor; the noise of the coarse cloud. Metals keep their material. Each folder OUT/NNN_SCENE_LIGHT is written by
-`render.py`; random.json with the drawn values is written last. A folder with random.json is complete and is not changed.
+`render.py`; random.json with the drawn values, --scale and --quality is written last. A folder with random.json is complete and is not
+changed; if it was made with other arguments, the program ends.
 """
 
 from __future__ import annotations
@@ -179,29 +180,35 @@ def import_untyped(name: str) -> Any:
 
 
 def render_one(seed: int, number: int, out: Path, quality: float, scale: int, chances: dict[str, int]) -> bool:
-    """Render station `number`, its images `scale` times as wide and high as SIZE; False if it exists already."""
+    """Render station `number`, its images `scale` times as wide and high as SIZE; False if it exists already.
+
+    Ends the program if it was made with other arguments: so were the others, of which each would be such an error.
+    """
     # The renderer's modules; its own interpreter finds them only once --renderer is known.
     render, lights, noise, scenes = map(import_untyped, ("render", "lights", "noise", "scenes"))
     random = np.random.default_rng([seed, number])
     weights = np.array(list(chances.values()), float)
     name = str(random.choice(list(chances), p=weights / weights.sum()))
     light, object_seed = str(random.choice(LIGHTS)), int(random.integers(1, 4_000_000))
-    folder = out / f"{number:03d}_{name}_{light}"
-    if (folder / "random.json").exists():
-        return False
+    record = out / f"{number:03d}_{name}_{light}" / "random.json"
     noise.FULL_WELL_E, noise.READ_NOISE_E = log_uniform(random, 6000, 40000), log_uniform(random, 3, 20)
-    drawn = dict(seed=seed, number=number, scene=name, light=light, object_seed=object_seed,
+    drawn = dict(seed=seed, number=number, scene=name, light=light, object_seed=object_seed, scale=scale, quality=quality,
                  full_well_e=noise.FULL_WELL_E, read_noise_e=noise.READ_NOISE_E)  # fmt: skip
+    if record.exists():
+        present = json.loads(record.read_text())
+        if other := [key for key, value in drawn.items() if present.get(key) != value]:
+            raise SystemExit(f"{record.parent}: was not made with this {', '.join(other)}, expected another --output")
+        return False
     # scenes.SCENES is not changed: the next station starts from it again.
     render.SCENES = {name: changed_scene(scenes.SCENES[name], lights, light, random, drawn)}
     width, height = FIGURINE_SIZE if name == "figurine" else SIZE
     size, view_size = f"{scale * width}x{scale * height}", f"{scale * 300}x{scale * 200}"
     sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", view_size, "--views", "3",
-                "--view-spp", "6", "--quality", str(quality), "--noisy", "all", "--no-components", "--out", str(folder)]  # fmt: skip
+                "--view-spp", "6", "--quality", str(quality), "--noisy", "all", "--no-components", "--out", str(record.parent)]  # fmt: skip
     if light == "constant":  # rays hit this light only by chance: four times the usual samples
         sys.argv += ["--spp", "576"]
     render.main()
-    (folder / "random.json").write_text(json.dumps(drawn, indent=1) + "\n")
+    record.write_text(json.dumps(drawn, indent=1) + "\n")
     return True
 
 
@@ -217,6 +224,8 @@ def main() -> int:
                         "size of render.py's own stations")  # fmt: skip
     parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="draw among these alone, with equal chances")
     args = parser.parse_args()
+    if args.scale < 1:
+        parser.error(f"--scale {args.scale}: expected 1 or more")
     if not (args.renderer / "render.py").exists():
         parser.error(f"--renderer {args.renderer}: expected a folder with render.py")
     sys.path.insert(0, str(args.renderer.resolve()))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any, TypeAlias
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._e57_xml import require_fields_of_points
 from malus._extra import extra
 from malus._files import open_regular
 from malus._laz import fields_of
@@ -27,8 +26,6 @@ _E57_PLACES = (
     ("cartesianX", "cartesianY", "cartesianZ", "cartesianInvalidState"),
     ("sphericalRange", "sphericalAzimuth", "sphericalElevation", "sphericalInvalidState"),
 )
-#: Bytes of an E57 file's pages, and of the checksum at the end of each.
-_PAGE, _CHECKSUM = 1024, 4
 #: Points of a LAS file that are read at a time.
 _AT_ONCE = 1_000_000
 #: Least share of its length that a point takes in a LAZ file. A flat grid without color takes 4e-4.
@@ -136,24 +133,8 @@ def _require_possible_records(path: Path) -> None:
         raise ValueError(f"its header counts {points} points, more than the file has room for")
 
 
-def _require_fields_of_points(path: Path) -> None:
-    """ValueError for an E57 file whose points do not say which fields they have: libE57 would end the program (signal 11)."""
-    with path.open("rb") as file:
-        start, length, page = struct.unpack("<24x3Q", file.read(48).ljust(48, b"\0"))
-        size = path.stat().st_size
-        if page != _PAGE or start > size or length > size:
-            return  # the library says what is wrong
-        file.seek(start - start % page)
-        pages = file.read(page * (length // (page - _CHECKSUM) + 2))
-    content = b"".join(pages[at : at + page - _CHECKSUM] for at in range(0, len(pages), page))
-    for node in ElementTree.fromstring(content[start % page :][:length]).iter():
-        names = [child.tag.rpartition("}")[2] for child in node]
-        if node.get("type") == "CompressedVector" and "prototype" not in names:
-            raise ValueError("its points do not say which fields they have")
-
-
 def _read_e57(library: Any, path: Path, unit: str) -> Cloud:
-    _require_fields_of_points(path)
+    require_fields_of_points(path)
     size = path.stat().st_size
     file = library.E57(str(path))
     try:

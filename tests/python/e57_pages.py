@@ -31,14 +31,14 @@ def content_of(file: bytes) -> bytes:
     return b"".join(file[start : start + _CONTENT] for start in range(0, len(file), _PAGE))
 
 
-def as_file(content: bytes) -> bytes:
-    """An E57 file of these bytes, with its own length and that of its XML in its header."""
+def as_file(content: bytes, beyond: int = 0) -> bytes:
+    """An E57 file of these bytes, with its own length and that of its XML, which may go beyond its root, in its header."""
     count = -(-len(content) // _CONTENT)
     whole = bytearray(content.ljust(count * _CONTENT, b"\0"))
     whole[_FILE_LENGTH] = (count * _PAGE).to_bytes(8, "little")
     pages, rest = divmod(int.from_bytes(whole[_XML], "little"), _PAGE)
     begin, end = pages * _CONTENT + rest, content.rfind(_END) + len(_END)
     if begin < end:
-        whole[_XML_LENGTH] = (end - begin).to_bytes(8, "little")
+        whole[_XML_LENGTH] = (end - begin + beyond).to_bytes(8, "little")
     parts = (bytes(whole[start : start + _CONTENT]) for start in range(0, count * _CONTENT, _CONTENT))
     return b"".join(part + _checksum(part) for part in parts)

@@ -382,6 +382,42 @@ def test_material_is_drawn_for_dielectrics_and_metals_keep_theirs() -> None:
     assert metal["meshes"][0]["bsdf"] == dict(type="roughconductor", alpha=0.1)
 
 
+def test_a_folder_of_random_stations_has_one_size_and_density(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A second run with another --scale left the stations as they were, and said nothing."""
+    rendered: list[list[str]] = []
+
+    def render() -> None:
+        rendered.append(sys.argv)
+        Path(sys.argv[sys.argv.index("--out") + 1]).mkdir(parents=True)
+
+    scenes = SimpleNamespace(SCENES={"coin": SimpleNamespace(STYLES={})})
+    modules = dict(render=SimpleNamespace(main=render), lights=None, noise=SimpleNamespace(), scenes=scenes)
+    monkeypatch.setattr(random_stations, "import_untyped", modules.__getitem__)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "render.py").touch()
+
+    def run(arguments: str) -> int:
+        command = f"random_stations.py --renderer {tmp_path} -o {tmp_path}/out --count 2 --scenes coin {arguments}"
+        monkeypatch.setattr(sys, "argv", command.split())
+        return int(random_stations.main())
+
+    assert run("--scale 2") == 0 and len(rendered) == 2
+    drawn = [json.loads(path.read_text()) for path in (tmp_path / "out").glob("*/random.json")]
+    assert all((station["scale"], station["quality"]) == (2, 0.4) for station in drawn) and len(drawn) == 2
+    assert "400x300" in rendered[0]
+    assert run("--scale 2") == 0 and len(rendered) == 2
+    with pytest.raises(SystemExit, match="not made with this scale,"):
+        run("--scale 3")
+    with pytest.raises(SystemExit, match="not made with this quality,"):
+        run("--scale 2 --quality 1")
+    with pytest.raises(SystemExit):
+        run("--scale 0")
+    assert "--scale 0: expected 1 or more" in capsys.readouterr().err
+    assert len(rendered) == 2
+
+
 @pytest.mark.parametrize(("surface", "printed_deg"), [("sphere", 0.78), ("bumps", 1.21)])
 def test_height_from_polarization_alone_has_the_printed_figures(surface: str, printed_deg: float) -> None:
     """docs/method.md, section 2: six angles, 0.5 % noise; Smith et al. 2016 have 4.3 and 7.7 degrees there."""

@@ -251,6 +251,11 @@ def test_stereo_beside_what_stations_see_is_left_out(views: list[View]) -> None:
     unbounded = unseen_stereo(stereo(cloud, normals), views[:5], points.select(np.zeros(len(points.points), bool)))
     assert unbounded.points == pytest.approx(cloud)
     assert unseen_stereo(stereo(cloud, normals), views[:5], points).points == pytest.approx(cloud[1:])
+    # Farther in than six of its standard deviations it counts.
+    deep = np.array([[RADIUS - 0.5], [RADIUS - 0.8]]) * cloud[0] / np.linalg.norm(cloud[0])
+    nearest = np.linalg.norm(points.points - deep[:, None], axis=2).min(1)
+    assert nearest / stereo(deep, normals).sigma == pytest.approx([5, 8], abs=0.3)
+    assert unseen_stereo(stereo(deep, normals), views[:5], points).points == pytest.approx(deep[1:])
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import malus
 from conftest import edit, malus_here, malus_station
 from e57_pages import as_file, content_of
 from malus import _core
+from malus._e57_xml import require_fields_of_points
 from malus._files import sha256_of
 from malus.scans import read_scan
 
@@ -216,14 +218,104 @@ def test_a_scan_without_all_coordinates_or_with_no_rotation_is_named(
         read_scan(path, "mm")
 
 
-def test_points_of_an_e57_file_without_a_list_of_fields_are_refused(
-    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+_PROTOTYPE = rb"<prototype.*?</prototype>"
+_VECTOR = b'<q:other type="Vector" allowHeterogeneousChildren="%b">%b</q:other></e57Root>'
+_POINTS = b'<vectorChild type="CompressedVector" fileOffset="48" recordCount="0">%b</vectorChild>'
+_FIELDS, _CODECS = b'<prototype type="Structure"/>', b'<codecs type="Vector" allowHeterogeneousChildren="1"/>'
+
+
+def changed_xml(content: bytes, *changes: tuple[bytes, bytes]) -> bytes:
+    """The content of an E57 file up to the end of its XML, with a prefix q, and parts of the XML replaced."""
+    content = content[: content.rindex(b"</e57Root>")] + b"</e57Root>"
+    for pattern, replacement in ((b"<e57Root", b'<e57Root xmlns:q="https://example.org/q"'), *changes):
+        content, count = re.subn(pattern, replacement, content, flags=re.DOTALL)
+        assert count
+    return content
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [(_PROTOTYPE, b"")],
+        [(rb"(<points[^>]*)>.*?</points>", rb"\1/>")],
+        [(_PROTOTYPE, b""), (b"vectorChild", b"q:scan")],
+        [(_PROTOTYPE, b""), (rb"<data3D[^>]*>", b'<data3D type="Structure">')],
+        [
+            (b"<codecs.*?(</codecs>|/>)", b""),
+            (rb"<data3D[^>]*>(.*?)</data3D>", rb'<data3D type="Vector">\1\1</data3D>'),
+        ],
+        [(b"</e57Root>", _VECTOR % (b"0", 2 * (_POINTS % b"")))],
+        [(b"</e57Root>", _VECTOR % (b"0", 2 * (_POINTS % _FIELDS)))],
+        [(b"</e57Root>", _VECTOR % (b"0", 2 * (_POINTS % _CODECS)))],
+    ],
+    ids=["removed", "no children", "prefixed scan", "no vector", "no codecs", "nothing", "only fields", "only codecs"],
+)
+@pytest.mark.parametrize("zeros", [0, 8])
+def test_e57_files_that_ended_the_program_are_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], changes: list[tuple[bytes, bytes]], zeros: int
 ) -> None:
-    """They ended the program, signal 11."""
+    """Signal 11 in libE57, also where zeros behind the XML count as XML."""
     path, whole = written_e57(tmp_path, cloud[0])
-    path.write_bytes(as_file(whole.replace(b"<prototype", b"<prototypo").replace(b"</prototype", b"</prototypo")))
+    path.write_bytes(as_file(changed_xml(whole, *changes) + bytes(zeros), zeros))
     with pytest.raises(malus.InputError, match=r"cloud\.e57: .*do not say which fields they have"):
         read_scan(path, "mm")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [],
+        [
+            (b"</e57Root>", b"<q:other>%b</q:other></e57Root>" % (_POINTS % b"")),
+            (b"<q:other", b'<q:other type="Structure"'),
+        ],
+        [(b"</e57Root>", _VECTOR % (b"1", 2 * (_POINTS % b"")))],
+        [(b"</e57Root>", _VECTOR % (b"0", 2 * (_POINTS % (_FIELDS + _CODECS))))],
+    ],
+    ids=["no extension", "no prototype", "not alike", "alike"],
+)
+@pytest.mark.parametrize("zeros", [0, 8])
+def test_extensions_of_an_e57_file_and_zeros_behind_its_xml_do_not_matter(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], changes: list[tuple[bytes, bytes]], zeros: int
+) -> None:
+    """Files that libE57 reads."""
+    path, whole = written_e57(tmp_path, cloud[0])
+    path.write_bytes(as_file(changed_xml(whole, *changes) + bytes(zeros), zeros))
+    np.testing.assert_allclose(read_scan(path, "mm")[0], cloud[0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "said"),
+    [
+        (_PROTOTYPE, _FIELDS, "a scan has no coordinates"),
+        (b"(</?)prototype", rb"\1q:prototype", "do not say which fields they have"),
+        (b"(</?)points", rb"\1q:points", "not defined"),
+        (b"</e57Root>", 100 * b"<q:a>" + 100 * b"</q:a>" + b"</e57Root>", "more than 100 elements within each other"),
+        (b"<e57Root", b"<!DOCTYPE e57Root []><e57Root", "has a document type"),
+        (b"</points>", b"", "mismatched tag"),
+    ],
+)
+def test_other_xml_that_is_no_e57_file_is_refused(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], pattern: bytes, replacement: bytes, said: str
+) -> None:
+    path, whole = written_e57(tmp_path, cloud[0])
+    path.write_bytes(as_file(changed_xml(whole, (pattern, replacement))))
+    with pytest.raises(malus.InputError, match=rf"cloud\.e57: .*{said}"):
+        read_scan(path, "mm")
+
+
+def test_the_xml_of_an_e57_file_takes_no_memory_before_it_is_read(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """A tree of it took 27 bytes a byte."""
+    path, whole = written_e57(tmp_path, cloud[0])
+    many = b'<q:a type="Integer"/>' * 100_000
+    path.write_bytes(as_file(changed_xml(whole, (b"</e57Root>", many + b"</e57Root>"))))
+    tracemalloc.start()
+    require_fields_of_points(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3 * len(many)
 
 
 def test_a_scan_may_be_in_spherical_coordinates(tmp_path: Path) -> None:

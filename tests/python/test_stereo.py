@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -405,3 +407,25 @@ def test_wrong_names_are_found_by_halving(wrong: str, count: int, most: int, fou
 
     assert station_sweep._without_which(names, most, is_right) == list(found)
     assert len(asked) <= 9 and all(len(left_out) <= most for left_out in asked)
+
+
+@pytest.mark.parametrize("contradict", [False, True])
+def test_few_hulls_are_tried_to_find_wrong_masks(contradict: bool) -> None:
+    """For two wrong ones of 40 there were up to 26, and more for two of which one must be left out."""
+    for pair in itertools.combinations(map(str, range(64)), 2):
+        tried = []
+
+        def hull_of(
+            silhouettes: list[tuple[str, None]], pair: tuple[str, str] = pair, tried: list[int] = tried
+        ) -> None:
+            tried.append(len(silhouettes))
+            if sum(mask in pair for mask, _ in silhouettes) > contradict:
+                raise malus.DataError("no place in common")
+
+        sweep: Any = SimpleNamespace(_hull_of=hull_of)
+        words = station_sweep._Sweep._blamed(sweep, [(str(mask), None) for mask in range(64)])
+        assert len(tried) <= station_sweep.MOST_HULLS
+        if contradict:
+            assert words.startswith((f"{pair[0]} and {pair[1]} contradict", f"{pair[1]} and {pair[0]} contradict"))
+        else:
+            assert words.startswith(("without ", "masks: "))

@@ -594,9 +594,30 @@ def test_comments_do_not_move_where_other_tables_stand_between_those_of_a_list(t
             change()
     document.write(None)
     assert document.path.read_text() == text
-    plain = StationDocument(tmp_path / "plain.toml", text.replace("# COMMENT\n", ""))
+    # What changes nothing moves nothing.
+    document.set("prior", "cloud", "c.ply")
+    document.set("prior", "sigma", None)
+    document.set("optics", "index", None)
+    document.set_list("patch", [{"name": "a"}, {"name": "b"}])
+    assert document.text == text
+
+
+@pytest.mark.parametrize(
+    "value", ["1", '"Vase #3"', "'Vase \\#'", '"""\n"#\\""""""', "'''\n'#'''''", r'"\"#"', """{ "#" = "'", b = 1 }"""]
+)
+def test_without_comments_tables_of_a_list_are_gathered(tmp_path: Path, value: str) -> None:
+    """A # in a string was taken for a comment."""
+    from malus import InputError
+    from malus.studio.document import StationDocument
+
+    text = f"note = {value}\n[[patch]]\nname = 'a'\n[prior]\ncloud = 'c.ply'\n[[patch]]\nname = 'b'\n"
+    plain = StationDocument(tmp_path / "plain.toml", text)
     plain.set_list("patch", [{"name": "a"}])
-    assert plain.values == {"patch": [{"name": "a"}], "prior": {"cloud": "c.ply"}}
+    assert plain.values["patch"] == [{"name": "a"}]
+    assert plain.values["prior"] == {"cloud": "c.ply"}
+    commented = StationDocument(tmp_path / "commented.toml", text.replace("\n[[patch]]", "  # it's 1\n[[patch]]", 1))
+    with pytest.raises(InputError, match="without moving comments"):
+        commented.set_list("patch", [{"name": "a"}])
 
 
 def test_a_file_that_changed_meanwhile_is_not_overwritten(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 // Private to the evidence room: how well the depth steps of a prior lie on the mask's outline.
 
 #include "malus/evidence/alignment_cue_internal.h"
+#include "malus/evidence/alignment_place_internal.h"
 #include "malus/evidence/reduced_view_internal.h"
 
 namespace malus {
@@ -17,6 +18,9 @@ struct OutlinePlace {
   /// Whether the prior gains much by a motion larger than the usual offset between the edges of right priors and their
   /// objects.
   bool is_offset() const;
+  /// Half a step of the search. Every larger part of an offset is one: neither shift nor size need be beyond the usual
+  /// offset by itself.
+  Tolerance half_step() const;
 };
 
 /// Searches shifts and changes of size up to 10 % of the object. The depth step at an outline pixel counts from −1 to

@@ -24,9 +24,6 @@ namespace {
 
 using Kind = AlignmentProblem::Kind;
 
-/// Offsets that outlines of right priors may have.
-constexpr Tolerance by_outline{0.03, 0, 0.02};
-
 /// A prior that covers a smaller share of the object does not lie on it.
 constexpr double hardly_covered = 0.02;
 /// A prior that covers a smaller share of the object is not compared with the images.
@@ -100,8 +97,9 @@ std::string told_in_words(const PriorAlignment& found) {
   return joined(told, " and ") + " on would be noticed" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
 }
 
-/// "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too large".
-std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolerance, const std::string& unit) {
+/// The parts of an offset beyond these limits: "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too
+/// large".
+std::string offset_in_words(const PriorAlignment& found, const Tolerance& limits, const std::string& unit) {
   std::vector<std::string> parts;
   const double shift = std::hypot(found.right_px, found.down_px);
   const auto along = [&](double px, const char* forwards, const char* backwards) {
@@ -109,15 +107,15 @@ std::string offset_in_words(const PriorAlignment& found, const Tolerance& tolera
     parts.push_back(with_digits(std::abs(px) * found.gsd, 2) + " " + unit + " (" + rounded(std::abs(px), 0) + " px) " +
                     (px > 0 ? backwards : forwards));
   };
-  if (shift > tolerance.shift * found.object_px) {
+  if (shift > limits.shift * found.object_px) {
     along(found.right_px, "too far right", "too far left");
     along(found.down_px, "too low", "too high");
   }
-  if (std::abs(found.clockwise_deg) > tolerance.turn_deg) {
+  if (std::abs(found.clockwise_deg) > limits.turn_deg) {
     parts.push_back("turned by " + rounded(std::abs(found.clockwise_deg), 1) + "° " +
                     (found.clockwise_deg > 0 ? "counter-clockwise" : "clockwise"));
   }
-  if (std::abs(found.scale - 1) > tolerance.scale) {
+  if (std::abs(found.scale - 1) > limits.scale) {
     parts.push_back(rounded(100 * std::abs(1 / found.scale - 1), 0) + " % too " +
                     (found.scale > 1 ? "small" : "large"));
   }
@@ -301,7 +299,7 @@ void judge_outline(const PriorView& prior, const SceneView& view, const Alignmen
   found.scale = std::exp(outline.place.log_scale);
   say(found, Severity::warning,
       "the prior's outline does not lie on the mask's: against the mask, the prior seems " +
-          offset_in_words(found, by_outline, scene.unit),
+          offset_in_words(found, outline.half_step(), scene.unit),
       "are mask and [camera] those of these images, and is the prior in the same frame?");
 }
 

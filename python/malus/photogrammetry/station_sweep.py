@@ -117,6 +117,8 @@ _AGAIN = ["sweep_again_depth.tif", "sweep_again_sigma.tif", "sweep_again_confide
 
 #: A photo in the messages of malus.stereo.sweep, with its index among those that the sweep got.
 _VIEW = re.compile(r"(?<=^surface sweep: )views\[(\d+)\]")
+#: Hulls that are tried, each of which can take seconds, to find wrong masks: enough for two of 64 that contradict each other.
+MOST_HULLS = 24
 #: File of a mask, and the values of its image's camera.
 _Silhouette = tuple[str, Any]
 
@@ -124,15 +126,15 @@ _Silhouette = tuple[str, Any]
 def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> list[str]:
     """A few names, at most `most`, without which the others are right; none if none are found.
 
-    `is_right` can take seconds, so the names under suspicion are divided again and again, in three ways, instead of being tried one by
-    one. A single wrong name is found; of several, the smallest of the tried parts that contains all of them.
+    Each step leaves out a part, about half, of the names that the step before left out, so that a single wrong name is found. Of
+    several wrong names it finds a part that has them all, and right ones beside.
     """
     found: list[str] = []
     while most > 0 and len(found) != 1:
         suspects = found or names
         count = max(2, math.ceil(len(suspects) / most))
-        # First every second one: neighbors often show the same side, and without a whole side nothing is closed. Two wrong
-        # ones that are parted by this may be in every second two or four.
+        # First every second name, as neighbors often show the same side, and without a whole side nothing is closed. Two wrong ones
+        # that are parted by this may be together if the names are taken by twos or fours.
         parts = (
             [name for at, name in enumerate(suspects) if at // together % count == number]
             for together in (1, 2, 4)
@@ -206,8 +208,11 @@ class _Sweep:
         """Says for the error which masks keep the others from having a hull, or all masks if leaving out some does not help. Two that
         contradict each other are both named.
         """
+        hulls = iter(range(MOST_HULLS))
 
         def others_have_one(left_out: Sequence[str]) -> bool:
+            if next(hulls, None) is None:
+                return False
             try:
                 self._hull_of([one for one in silhouettes if one[0] not in left_out])
             except DataError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,8 @@ from malus.studio.toml_body import assign, last_body, text_of
 LISTS = ("scale", "control", "patch", "profile")
 #: Tables that occur once; all other names from the page are refused.
 TABLES = ("station", "object", "polarized", "optics", "camera", "prior", "photos")
+#: The sign of a comment, or a whole string: of the two, the one that begins first counts.
+_COMMENT_OR_STRING = re.compile(r"""#|"{3}(?:\\.|[^\\])*?"{3}|'{3}.*?'{3}|"(?:\\.|[^"\\])*"|'[^']*'""", re.DOTALL)
 
 
 class ChangedError(InputError):
@@ -39,11 +42,14 @@ class TomlDocument:
         try:
             # First by the standard library: tomlkit reads files in which a table stands twice, and fails when they are changed.
             tomllib.loads(text)
-            self._document = tomlkit.parse(text)
-            #: The text, if tomlkit would move parts of it: it gathers the tables of a list that have other tables between them.
-            self._as_written = None if tomlkit.dumps(self._document) == text else text
+            self._take(text)
         except (ValueError, TOMLKitError, RecursionError) as error:
             raise InputError(f"{path}: not valid TOML ({error})") from None
+
+    def _take(self, text: str) -> None:
+        self._document = tomlkit.parse(text)
+        #: The text, if tomlkit would move parts of it: it gathers the tables of a list that have other tables between them.
+        self._as_written = None if tomlkit.dumps(self._document) == text else text
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -77,25 +83,30 @@ class TomlDocument:
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
-        """Raise InputError where tomlkit fails to change a table or list, makes a text that is not TOML, or would move comments to
-        other tables.
+        """Raise InputError, and change nothing, where tomlkit fails to change a table or list, makes a text that is not TOML, or would
+        move comments to other tables. Where no value changes, nothing is moved.
         """
-        if self._as_written and "#" in self._as_written:
-            raise InputError(
-                f"{self.path}: Studio cannot change {name} as it is written there, without moving comments: tables of a list have other "
-                "tables between them, expected those of each list, such as [[patch]], one after the other"
-            )
+        before, is_moved = self.text, self._as_written is not None
         self._as_written = None
         try:
             yield
-            tomllib.loads(self.text)
+            is_same = tomllib.loads(self.text) == tomllib.loads(before)
+            if is_moved and not is_same and _has_comments(before):
+                raise InputError(
+                    f"{self.path}: Studio cannot change {name} as it is written there, without moving comments: tables of a list have "
+                    "other tables between them, expected those of each list, such as [[patch]], one after the other"
+                )
         except InputError:
+            self._take(before)
             raise
         except (ValueError, KeyError, TOMLKitError, RecursionError):
+            self._take(before)
             where = f"[[{name}]]" if name in LISTS else f"[{name}]"
             raise InputError(
                 f"{self.path}: Studio cannot change {name} as it is written there, expected {where} with its keys on the lines below"
             ) from None
+        if is_moved and is_same:
+            self._take(before)
 
     def _place_of(self, table: str, key: str) -> int:
         """Where in the file's body the part of a table is that has the key, or should have it.
@@ -169,6 +180,11 @@ class StationDocument(TomlDocument):
         self.require(expected)
         write_bytes(self.path, self.text.encode())
         self.digest = digest_of(self.text)
+
+
+def _has_comments(text: str) -> bool:
+    """Whether a TOML text has comments, and not only # in its strings."""
+    return any(part[0] == "#" for part in _COMMENT_OR_STRING.finditer(text))
 
 
 def digest_of(text: str) -> str:

@@ -336,6 +336,11 @@ TEST(PriorAlignment, UsesTheOutlineWithoutEvidenceFromColorsAndPhases) {
   const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1.07)));
   EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
   EXPECT_NE(larger.finding.message.find("% too large"), std::string::npos) << larger.finding.message;
+  // Neither the shift, 2.7 % of the object, nor the size is an offset by itself.
+  const PriorAlignment both = check(scene, scene.moved(motion(6, 0, 0, 1.025)));
+  EXPECT_EQ(both.finding.severity, Severity::warning) << both.finding.text();
+  EXPECT_NE(both.finding.message.find("too far right"), std::string::npos) << both.finding.message;
+  EXPECT_NE(both.finding.message.find("3 % too large"), std::string::npos) << both.finding.message;
 }
 
 TEST(PriorAlignment, FindsInvertedMasksWhereTheCloudCoversTheBackgroundToo) {

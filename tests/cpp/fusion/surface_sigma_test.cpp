@@ -4,6 +4,7 @@
 #include <functional>
 #include <numbers>
 
+#include "malus/core/square_internal.h"
 #include "malus/fusion/refinement_image_internal.h"
 #include "malus/fusion/refinement_weights_internal.h"
 #include "malus/fusion/surface_sigma_internal.h"
@@ -25,10 +26,22 @@ Shape cap(double curvature) {
 }
 
 /// Waves along x with this largest curvature.
-constexpr double wave_px = 16;
+constexpr double wave_px = 16, wave_frequency = 2 * std::numbers::pi / wave_px;
 Shape waves(double curvature) {
-  const double frequency = 2 * std::numbers::pi / wave_px;
-  return [=](double x, double) { return curvature / (frequency * frequency) * std::sin(frequency * x); };
+  return [=](double x, double) { return curvature / square(wave_frequency) * std::sin(wave_frequency * x); };
+}
+
+/// The sigma that these waves get in the image's middle for what smoothing over a length and over windows cuts off.
+double cut_off(double curvature, double length_px, double windows_px) {
+  // A node is the mean of the pixels left and right of it, and its curvature a second difference.
+  const double found =
+      curvature / square(wave_frequency) * std::cos(wave_frequency / 2) * 2 * (1 - std::cos(wave_frequency));
+  const auto kept = [](double gaussian_px, double frequency) {
+    return std::exp(-0.5 * square(gaussian_px * frequency));
+  };
+  const double change = found * (1 - kept(2 * length_px, wave_frequency));
+  const double mean_square = 0.5 * square(change) * (1 - kept(length_px, 2 * wave_frequency));
+  return 0.6 * (square(length_px) + square(windows_px)) * std::sqrt(mean_square);
 }
 
 /// Sigma in GSD of a surface that equals its prior and whose polarization is the reflection model's prediction.
@@ -67,14 +80,14 @@ TEST(SurfaceSigma, EqualsThePriorsSigmaWithoutSmoothing) {
   EXPECT_NEAR(sigma_of(waves(0.01), {0}, nothing)(80, 64), prior_sigma_gsd, 0.01);
 }
 
-TEST(SurfaceSigma, IncludesTheReliefThatSmoothingCutsOff) {
+TEST(SurfaceSigma, IncludesTheReliefThatSmoothingAndWindowsOf2PxCutOff) {
   const double plane = sigma_of(cap(0), {5}, nothing)(80, 64);
   EXPECT_NEAR(plane, 0.3 * prior_sigma_gsd, 0.02);
-  // Smoothing over the length L cuts off 0.6 L² times the RMS curvature; the points' windows smooth over 2 px.
-  const auto cut = [](double length2) { return 0.6 * (length2 + 4) * 0.02 / std::sqrt(2.0); };
-  EXPECT_NEAR(sigma_of(waves(0.02), {5}, nothing)(80, 64), std::hypot(plane, cut(25)), 0.1 * cut(25));
-  EXPECT_NEAR(sigma_of(waves(0.02), {10}, nothing)(80, 64), std::hypot(plane, cut(100)), 0.1 * cut(100));
-  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut(25))
+  for (const double length : {3, 5, 10}) {
+    const double cut = cut_off(0.1, length, 2);
+    EXPECT_NEAR(sigma_of(waves(0.1), {length}, nothing)(80, 64), std::hypot(plane, cut), 0.03 * cut) << length;
+  }
+  EXPECT_NEAR(sigma_of(cap(0.02), {5}, nothing)(80, 64), plane, 0.1 * cut_off(0.02, 5, 2))
       << "smoothing cuts off nothing of a ball";
 }
 
@@ -88,6 +101,8 @@ TEST(SurfaceSigma, ReliefOnASlopeIsCutOffAsMuchAlongTheRayAsReliefThatFacesTheCa
 TEST(SurfaceSigma, IsNotReducedForPointsThatShareTheirWindows) {
   const PriorErrors swept{.smoothing_px = 5, .shares_windows = true};
   EXPECT_NEAR(sigma_of(cap(0), swept, nothing)(80, 64), prior_sigma_gsd, 0.02);
+  const double cut = cut_off(0.1, 5, 0);  // their sigma contains what the windows cut off
+  EXPECT_NEAR(sigma_of(waves(0.1), swept, nothing)(80, 64), std::hypot(prior_sigma_gsd, cut), 0.03 * cut);
 }
 
 TEST(SurfaceSigma, IsSmallerWhereTheSurfaceIsRefined) {
