@@ -6,9 +6,10 @@ import copy
 import dataclasses
 import pickle
 import re
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from malus import _core, reconstruction
 from malus import station as tables
 from malus.photogrammetry.control import require_control_points
 
+ROOT = Path(__file__).parents[2]
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
 CAMERA = malus.Camera("PINHOLE", SIZE[1], SIZE[0], [200.0, 200.0, 29.5, 19.5])
@@ -421,22 +423,61 @@ def test_a_metal_is_stated_by_name_or_index(pictures: list[np.ndarray]) -> None:
         assert in_memory(pictures, reflection="auto", metal=index).describe()["metal"] == "0.7+2.6i"
 
 
-def test_metals_of_page_and_documentation_are_those_of_the_parser(pictures: list[np.ndarray]) -> None:
-    with pytest.raises(malus.InputError) as refused:
-        in_memory(pictures, metal="?")
-    known = re.findall(r'"([a-z]+)"', str(refused.value))[2:]  # after "auto" and "none"
-    root = Path(__file__).parents[2]
-    page = (root / "python/malus/studio/static/station.js").read_text(encoding="utf-8")
-    assert re.findall(r"'(\w+)'", page.split("function metalChoice")[1].split("names = [")[1].split("]")[0]) == known
-    documented = (root / "docs/station-file.md").read_text(encoding="utf-8").split("| metal |")[1].split("\n\n")[0]
-    assert re.findall(r"^\| (\w+) \| [\d.]+ \+ [\d.]+ i \|", documented, re.MULTILINE) == known
+def names_expected(make: Callable[[], object]) -> list[str]:
+    """The words in quotes that the program expects in place of a "?"."""
+    with pytest.raises(malus.InputError, match=r"= '\?', expected") as refused:
+        make()
+    return re.findall(r'"([\w:]+)"', str(refused.value).split(", expected")[1])
+
+
+def listed_in(page: str, begin: str, end: str) -> list[str]:
+    """Names in quotes between two texts of Studio's page."""
+    return re.findall(r"'(\w+)'", page.split(begin)[1].split(end)[0])
+
+
+def test_words_of_page_and_documentation_are_those_of_the_program(pictures: list[np.ndarray]) -> None:
+    page = (ROOT / "python/malus/studio/static/station.js").read_text(encoding="utf-8")
+    documented = (ROOT / "docs/station-file.md").read_text(encoding="utf-8")
+    metals = names_expected(lambda: in_memory(pictures, metal="?"))[2:]  # after "auto" and "none"
+    assert listed_in(page.split("function metalChoice")[1], "names = [", "]") == metals
+    table = documented.split("| metal |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| (\w+) \| [\d.]+ \+ [\d.]+ i \|", table, re.MULTILINE) == metals
+    catalog = page.split("CATALOG = [")[1].split("]];")[0]
+    assert re.findall(r"\['(\w+)', ", f"[{catalog}") == list(in_memory(pictures).describe()["object"])
+    units = names_expected(lambda: in_memory(pictures, unit="?"))
+    assert sorted(listed_in(page, "'unit') ?? 'mm', [", "]")) == sorted(units)
+    lengths = (ROOT / "python/malus/studio/static/api.js").read_text(encoding="utf-8").split("METERS = {")[1]
+    assert re.findall(r"(\w+): ", lengths.split("}")[0]) == units
+    reflections = page.split("'Reflection', under('optics', 'reflection') ?? 'auto', [")[1].split("]]")[0]
+    words = names_expected(lambda: in_memory(pictures, reflection="?"))
+    assert sorted(re.findall(r"\['(\w+)', ", reflections)) == sorted(words)
+
+
+def test_literals_of_types_are_the_names_of_the_program(pictures: list[np.ndarray]) -> None:
+    mosaic, cell = [np.ones((8, 8))], [[90, 45], [135, 0]]
+    makers: dict[str, Callable[[], object]] = {
+        "angle_direction": lambda: in_memory(pictures, polarized={"angle_direction": "?"}),
+        "channel": lambda: in_memory(pictures, polarized={"channel": "?"}),
+        "mosaic_colors": lambda: malus.Station(mosaic, None, None, polarized={"mosaic": cell, "mosaic_colors": "?"}),  # type: ignore[typeddict-item]
+    }
+    types = get_type_hints(tables.PolarizedValues)
+    words = {key: list(get_args(allowed)) for key, allowed in types.items() if get_origin(allowed) is Literal}
+    assert words == {key: names_expected(make) for key, make in makers.items()}
+
+
+def keys_in(source: str, lists: str) -> set[str]:
+    """Keys that a source of the parser lists, for tables that have no type in Python."""
+    text = (ROOT / "cpp/malus/io" / source).read_text(encoding="utf-8")
+    return set(re.findall(r'"(\w+)"', " ".join(re.findall(lists, text))))
 
 
 def test_types_of_tables_have_the_keys_of_the_station_file(pictures: list[np.ndarray]) -> None:
     """Keys of docs/station-file.md, which are those of the parser; those that name image files are for station files only."""
-    text = (Path(__file__).parents[2] / "docs/station-file.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/station-file.md").read_text(encoding="utf-8")
     of_files = {"images", "angles_deg", "angle_pattern", "mask"}
     expected = {
+        "[station]": keys_in("station_file.cpp", r'section\("station", \{(.*?)\}'),
+        "[camera]": keys_in("camera_section.cpp", r"Keys \w+(?:\{| = joined\(\{\{)(.*?)\}"),
         "[object]": set(in_memory(pictures).describe()["object"]),
         "[polarized]": set(tables.PolarizedValues.__annotations__) | of_files,
         "[optics]": set(tables.OpticsValues.__annotations__),
