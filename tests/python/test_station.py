@@ -212,7 +212,7 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         ),
         ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
         ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
-        ({"optics": {"reflection": "matte"}}, r"\[optics\].reflection.*file of a label image"),
+        ({"reflection": "matte"}, r"\[optics\].reflection.*file of a label image"),
         ({"metal": "bronz"}, r"\[optics\].metal = .bronz., expected .*\"bronze\""),
         ({"metal": [0.7, 0.0]}, r"\[optics\].metal.*k from 0.5 to 20"),
         ({"metal": "bronze"}, r"\[optics\].metal.*reflection = \"diffuse\""),
@@ -251,12 +251,28 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
         ({"prior_points": np.ma.masked_equal(np.eye(3), 1)}, "prior_points has masked values"),
         ({"reflection": np.ones((3, 3))}, r"reflection has shape \(3, 3\), expected \(40, 60\)"),
         ({"reflection": np.full(SIZE, 3)}, r"reflection has the value 3, expected 0 \(decide\)"),
-        ({"reflection": np.ones(SIZE), "optics": {"reflection": "auto"}}, "both state the reflection"),
+        ({"reflection": np.ones(SIZE), "optics": {"reflection": "auto"}}, "optics: has reflection, which an argument"),
+        ({"optics": {"reflection": "auto"}}, "optics: has reflection, which an argument"),
+        ({"metal": (0.7, 2.6), "optics": {"metal": "none"}}, "optics: has metal, which an argument"),
+        ({"refractive_index": None, "optics": {"refractive_index": 1.4}}, "optics: has refractive_index, which an"),
+        ({"polarized": {"frames_averaged": 4}}, "polarized: has frames_averaged, which an argument"),
+        ({"read_noise_e": 3.0, "polarized": {"read_noise_e": None}}, "polarized: has read_noise_e, which an argument"),
+        ({"polarized": {"angles_deg": "auto"}}, "polarized: has angles_deg, which an argument"),
+        ({"prior_sigma": 2.0, "prior": {"cloud": "a.ply", "sigma": 1.0}}, "prior: has sigma, which an argument"),
     ],
 )
 def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         in_memory(pictures, **changes)
+
+
+def test_tables_may_state_what_no_argument_states(pictures: list[np.ndarray]) -> None:
+    stated: dict[str, Any] = {
+        "polarized": {"white_level": 255, "frames_averaged": 4},
+        "optics": {"refractive_index": 1.4, "metal": "none"},
+    }
+    described = malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **stated).describe()
+    assert [described[key] for key in ("frames_averaged", "refractive_index", "metal")] == [4, 1.4, "none"]
 
 
 def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
@@ -458,7 +474,7 @@ def test_literals_of_types_are_the_names_of_the_program(pictures: list[np.ndarra
     makers: dict[str, Callable[[], object]] = {
         "angle_direction": lambda: in_memory(pictures, polarized={"angle_direction": "?"}),
         "channel": lambda: in_memory(pictures, polarized={"channel": "?"}),
-        "mosaic_colors": lambda: malus.Station(mosaic, None, None, polarized={"mosaic": cell, "mosaic_colors": "?"}),  # type: ignore[typeddict-item]
+        "mosaic_colors": lambda: malus.Station(mosaic, None, None, polarized={"mosaic": cell, "mosaic_colors": "?"}),
     }
     types = get_type_hints(tables.PolarizedValues)
     words = {key: list(get_args(allowed)) for key, allowed in types.items() if get_origin(allowed) is Literal}
