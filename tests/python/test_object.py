@@ -1187,8 +1187,7 @@ def test_silhouettes_are_kept_with_the_cameras_of_a_station(tmp_path: Path) -> N
     kept = StationCameras(camera, [], SparseModel.read(model), {}, {}, silhouettes=[("other", mask, camera)])
     save_cameras(tmp_path / "a.json", kept, model)
     ((name, path, read),) = load_cameras(tmp_path / "a.json").silhouettes
-    assert (name, path, read.model, list(read.params)) == ("other", mask, camera.model, list(camera.params))
-    np.testing.assert_array_equal(read.pose()[1], [1, 2, 3])
+    assert (name, path, read) == ("other", mask, camera)
     Image.new("L", (12, 8), 0).save(mask)
     with pytest.raises(InputError, match=r"mask.png was changed since its camera was found"):
         load_cameras(tmp_path / "a.json")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import pickle
 import re
 from collections.abc import Callable
@@ -431,6 +432,16 @@ def test_polarization_needs_no_camera(pictures: list[np.ndarray]) -> None:
 def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
     with pytest.raises(malus.InputError, match="angles_deg: all angles lie within 6.3°.*radians"):
         malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
+
+
+def test_a_camera_is_that_of_its_description(pictures: list[np.ndarray]) -> None:
+    turned = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    camera = malus.Camera("SIMPLE_RADIAL", SIZE[1], SIZE[0], (40, 29.5, 19.5, -0.3), turned, np.arange(3))
+    said = json.loads(json.dumps(camera.description()))
+    assert malus.Camera.from_description(said) == camera
+    assert in_memory(pictures).describe()["camera"] == CAMERA.description()
+    del said["rotation"], said["translation"]
+    assert malus.Camera.from_description(said) == malus.Camera(camera.model, camera.width, camera.height, camera.params)
 
 
 def test_a_metal_is_stated_by_name_or_index(pictures: list[np.ndarray]) -> None:

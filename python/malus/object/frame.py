@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from malus._files import new_folder
+from malus.camera import Camera
 from malus.errors import DataError, MalusError
 from malus.object.definition import Object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
-from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.photos import photos_of, require_usable_masks
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
@@ -52,7 +52,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
             try:
                 scene, mask = unpolarized_scene(station, options, begun, threads)
                 said = station.describe()
-                views[task.identifier] = (camera_of(said["camera"]), scene)
+                views[task.identifier] = (Camera.from_description(said["camera"]), scene)
                 if said["mask"] is not None:
                     outlines[task.identifier] = Outline(mask, Path(said["mask"]))
                 _begin(task.workspace, begun)

@@ -72,14 +72,6 @@ class Outline:
     """The mask of the images as taken."""
 
 
-def camera_of(description: Mapping[str, Any]) -> Camera:
-    """The camera of a description by `Station.describe`."""
-    return Camera(
-        description["model"], description["width"], description["height"], description["params"],
-        description.get("rotation", np.eye(3)), description.get("translation", np.zeros(3)),
-    )  # fmt: skip
-
-
 def find_cameras(
     station: Mapping[str, Any],
     unpolarized: NDArray[np.float32],
@@ -100,7 +92,7 @@ def find_cameras(
     """
     bench = _bench(folder, options, threads, progress, log)
     photos, solved = _solved(bench, station)
-    lens = lens_of_raster(camera_of(station["camera"])) if "camera" in station else None
+    lens = lens_of_raster(Camera.from_description(station["camera"])) if "camera" in station else None
     shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
     view = StationView(unpolarized, lens, shared)
     placed, model, figures = _placed_and_scaled(bench, photos, solved, {STATION_IMAGE: view}, station)
@@ -266,7 +258,7 @@ def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
     """The photos' calibrated lens in one of COLMAP's models."""
     if said is None:
         return None
-    values, rms_px = _core.as_colmap_camera(camera_of(said).values())
+    values, rms_px = _core.as_colmap_camera(Camera.from_description(said).values())
     if rms_px > 0.05:
         log(
             "warning",
