@@ -327,7 +327,7 @@ def _planned(
     of all of them; those that its own file names need not suffice.
     """
     said = {**description, "scale": [], "control": []} if known else description
-    return photogrammetry.plan(said, settings, threads, 1e-6 * width * height, read_masks=not known)
+    return photogrammetry.plan(said, 1e-6 * width * height, options=settings, threads=threads, read_masks=not known)
 
 
 def prior_upon_image(

@@ -1167,7 +1167,7 @@ def test_outlines_of_the_other_stations_are_silhouettes(
     monkeypatch.setattr(front_end, "Colmap", lambda *_: SimpleNamespace(title="", threads=1, peak_mb=0.0))
     found = front_end.find_object_cameras(
         {}, {name: (lens, np.ones((8, 12), np.float32)) for name in "abc"}, tmp_path / "work",
-        outlines=outlines if turntable else None, options=Options(), threads=1, progress=print, log=print,
+        outlines=outlines if turntable else None,
     )  # fmt: skip
     assert [view.mask is not None for view in seen.values()] == [turntable, False, turntable]
     told = {name: [mask for _, mask, _ in cameras.silhouettes] for name, cameras in found.items()}

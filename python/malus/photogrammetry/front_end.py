@@ -22,7 +22,7 @@ from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
-from malus.photogrammetry.diagnosis import Log
+from malus.photogrammetry.diagnosis import Log, silent
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
@@ -40,6 +40,7 @@ from malus.photogrammetry.station_pose import (
     station_image,
 )
 from malus.photogrammetry.window_matching import match_windows
+from malus.threads import ALL_CORES
 
 Report = Callable[[float, str], None]
 
@@ -77,15 +78,16 @@ def find_cameras(
     unpolarized: NDArray[np.float32],
     folder: Path,
     *,
-    options: Options,
-    threads: int,
-    progress: Report,
-    log: Log,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+    progress: Report = silent,
+    log: Log = silent,
 ) -> StationCameras:
     """Cameras of a station's photos and of the station itself.
 
     station: as `Station.describe` returns it. unpolarized: H×W intensity of the station's view, linear, undistorted if its
-    lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept.
+    lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept. progress: share done, message. log: level
+    (info, warning), message.
 
     Raises InputError for wrong files, DataError with advice on what to photograph if the photos do not suffice, and
     ExternalError if COLMAP is missing or fails.
@@ -115,10 +117,10 @@ def find_object_cameras(
     folder: Path,
     *,
     outlines: Mapping[str, Outline] | None = None,
-    options: Options,
-    threads: int,
-    progress: Report,
-    log: Log,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+    progress: Report = silent,
+    log: Log = silent,
 ) -> dict[str, StationCameras]:
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
@@ -172,8 +174,9 @@ def find_object_cameras(
 
 
 def _bench(
-    folder: Path, options: Options, threads: int, progress: Report, log: Log, *, inside_masks: bool = False
+    folder: Path, given: Options | None, threads: int, progress: Report, log: Log, *, inside_masks: bool = False
 ) -> Bench:
+    options = given or Options()
     folder.mkdir(parents=True, exist_ok=True)
     colmap = Colmap(threads, options.photos.backend)
     journal = Journal(folder, log, colmap)
