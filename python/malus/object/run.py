@@ -27,7 +27,7 @@ from malus.object.comparison import compared_with_reference, write_comparison
 from malus.object.definition import Object
 from malus.object.doubts import doubts_of_stations, left_out, warnings_of
 from malus.object.figures import mesh_figures, station_figures
-from malus.object.frame import Frame, find_frame, with_warnings
+from malus.object.frame import Frame, find_frame, key_of_photos, with_warnings
 from malus.object.glb import write_levels
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
@@ -64,18 +64,24 @@ def run_object(
     outcomes of the stations.
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
-    earlier surface is removed if no station is done, if the photos give no cameras (DataError) or cannot be used (InputError), or if
-    making the new surface fails. The warnings before an error are its notes.
+    earlier surface is removed if no station is done, if the photos give no cameras (DataError), or if making the new surface fails. If
+    another error ends the search for the cameras, it stays if it is of the same photos, masks, distances and points. The warnings
+    before an error are its notes.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
     folder = Path(output) / "object"
+    frame, photos = None, None
     try:
-        frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
-    except (DataError, InputError):
-        # The photos as they are now tell of no cameras: an earlier surface is of others. After any other error, such as too little
-        # memory, it may be right still. A disk that is not there ends Object.load.
-        _discard(folder)
+        if thing.shared is not None:
+            photos = key_of_photos(thing.shared)
+            frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
+    except MalusError as error:
+        # An earlier surface would look like one of the photos as they are now. It stays if it is: a full disk or a COLMAP that is not
+        # there say nothing against it. A disk with photos that is not there ends Object.load.
+        of = (read_record(folder / "quality.json") or {}).get("photos_key")
+        if isinstance(error, DataError) or photos is None or of != photos:
+            _discard(folder)
         raise
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
@@ -103,6 +109,7 @@ def run_object(
                     frame,
                     folder,
                     key,
+                    photos,
                     threads or ALL_CORES,
                     lambda share, message: say("object", share, message),
                 )
@@ -162,6 +169,7 @@ def _fuse(
     frame: Frame | None,
     folder: Path,
     key: str,
+    photos: str | None,
     threads: int,
     say: Progress,
 ) -> None:
@@ -219,7 +227,7 @@ def _fuse(
         stations = station_figures(shown, views, agreements, coverage, gsd)
         found = [] if frame is None else frame.warnings
         quality = {
-            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
+            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "photos_key": photos, "gsd": gsd, "stations": stations,
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
