@@ -815,7 +815,7 @@ def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> 
     """How far stations can be trusted, on the page and by the first run, a quiet one and two others that have nothing to do."""
     again = malus_here("object", pair, "-o", output)
     assert "stations      2 of 2 done" in again.err and "100 %  object " in again.err, "all kept"
-    assert "  run now: none; kept from an earlier run: 2\n" in again.out and "run now" not in outcome.out
+    assert "  run now: none; run before or elsewhere: 2\n" in again.out and "run now" not in outcome.out
     events = [json.loads(line) for line in malus_here("object", pair, "-o", output, "--json").out.splitlines()]
     told = [event["message"] for event in events if event["event"] == "log" and event["level"] == "warning"]
     assert told == [line.removeprefix("warning: ") for line in quiet.err.splitlines()] and told

@@ -54,14 +54,15 @@ def run_object(
     scheduler: str | None = None,
     shard: tuple[int, int] | None = None,
     progress: Callable[[str, float, str], None] | None = None,
+    ended: Callable[[Outcome], None] | None = None,
 ) -> list[Outcome]:
     """Run the stations of an object that are not done, and join all stations into one surface.
 
     OUTPUT gets the files of malus.batch.run_campaign, photogrammetry/ if stations are found among photos, and object/: mesh.ply (full
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
-    It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations.
+    It is not made again while these stations and the object file are unchanged. progress: step, share done, message. ended: gets the
+    outcome of each station that this run has run. Returns the outcomes of all stations.
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
     earlier surface is removed if no station is done, if the photos give no cameras (DataError), or if making the new surface fails. If
@@ -83,10 +84,15 @@ def run_object(
         if isinstance(error, DataError) or photos is None or of != photos:
             _discard(folder)
         raise
+
+    def station_ended(count: int, total: int, outcome: Outcome) -> None:
+        say("stations", count / total, f"{outcome['station']}: {outcome['status']}")
+        if ended is not None:
+            ended(outcome)
+
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
-        cameras=None if frame is None else frame.cameras,
-        progress=lambda done, total, outcome: say("stations", done / total, f"{outcome['station']}: {outcome['status']}"),
+        cameras=None if frame is None else frame.cameras, progress=station_ended,
     )  # fmt: skip
     # Stations of other shards are pending; the shard that ends last makes the surface.
     if any(outcome["status"] == "pending" for outcome in outcomes):
@@ -104,15 +110,9 @@ def run_object(
             _clear(folder)
             try:
                 _fuse(
-                    thing,
-                    outcomes,
-                    frame,
-                    folder,
-                    key,
-                    photos,
-                    threads or ALL_CORES,
+                    thing, outcomes, frame, folder, key, photos, threads or ALL_CORES,
                     lambda share, message: say("object", share, message),
-                )
+                )  # fmt: skip
             except BaseException as error:
                 # A mesh without its page, or with that of another surface, would look finished.
                 _clear(folder)
@@ -253,7 +253,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        if after | {"kept": before["kept"]} != before:
+        if after != before:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )
