@@ -434,6 +434,24 @@ def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
         malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
 
 
+def test_a_file_that_is_called_as_a_response_is_no_table(
+    pictures: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The key of the step depended on the current folder, and an archive took the file."""
+    keys = []
+    for folder in ("empty", "full"):
+        (tmp_path / folder).mkdir()
+        monkeypatch.chdir(tmp_path / folder)
+        if folder == "full":
+            Path("srgb").write_text("0 0\n255 1\n")
+        station = in_memory(pictures)
+        assert station.describe()["response"] == "srgb" and station.describe()["files"] == []
+        options = malus.Options(capture={"registration": "off"})
+        malus.reconstruct(station, options, until="polarization", threads=1, workspace=tmp_path / folder / "work")
+        keys.append(malus.Workspace(tmp_path / folder / "work").manifest["steps"]["polarization"]["key"])
+    assert keys[0] == keys[1]
+
+
 def test_a_camera_is_that_of_its_description(pictures: list[np.ndarray]) -> None:
     turned = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     camera = malus.Camera("SIMPLE_RADIAL", SIZE[1], SIZE[0], (40, 29.5, 19.5, -0.3), turned, np.arange(3))
