@@ -50,6 +50,8 @@ from rendered_files import BORDER_PX, Array, Mask, lowpass
 from scipy import ndimage
 from station_variants import WRONG_PRIOR, Variant
 
+from malus._robust import robust_spread
+
 Result = dict[str, Any]
 
 WORSE, BETTER, SAME = 1.1, 0.9, 0.005
@@ -80,7 +82,7 @@ def figures(depth: Array, truth: Array, mask: Mask, K: Array, gsd: float) -> dic
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[ndimage.binary_erosion(mask)]
     return dict(
         rmse=float(np.sqrt((error[mask] ** 2).mean())),
-        detail_mad=float(1.4826 * np.median(np.abs(detail))),
+        detail_mad=robust_spread(detail),
         normal_median=float(np.nanmedian(angle)),
     )
 

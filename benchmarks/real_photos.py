@@ -87,12 +87,7 @@ def main() -> None:
     for assignment in arguments.set:
         options.set(assignment)
     linear = np.power(coded, 2.2, dtype=np.float32)
-    common = {
-        "options": options,
-        "threads": 2,
-        "progress": lambda fraction, message: None,
-        "log": lambda level, message: print(f"{level}: {message}"),
-    }
+    common = {"options": options, "threads": 2, "log": lambda level, message: print(f"{level}: {message}")}
     cameras = find_cameras(description, linear, work, **common)
     figures = cameras.figures["photogrammetry"]
     print(f"{figures['registered']} of {figures['photos']} photos and the station registered; windows: "

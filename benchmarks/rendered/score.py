@@ -30,6 +30,8 @@ import tifffile
 from PIL import Image
 from scipy import ndimage
 
+from malus._robust import robust_spread
+
 BORDER_PX, DETAIL_SIGMA_PX = 6, 8.0
 
 
@@ -96,7 +98,7 @@ def figures(depth, pinhole, truth, truth_pinhole, gsd, mask, align):
         bias_gsd=bias,
         rmse_gsd=np.sqrt((error[ok] ** 2).mean()),
         detail_rmse_gsd=np.sqrt((detail**2).mean()),
-        detail_mad_gsd=1.4826 * np.median(np.abs(detail)),
+        detail_mad_gsd=robust_spread(detail),
         normal_mae_deg=np.nanmean(angle),
         normal_median_deg=np.nanmedian(angle),
     )

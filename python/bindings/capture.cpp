@@ -31,7 +31,7 @@ void bind_capture(py::module_& module) {
     PolarizedSpec spec;
     spec.black_level = black;
     spec.white_level = white;
-    const ResponseCurve curve = response_curve(response, "response");
+    const ResponseCurve curve = response_curve(stated_response(response), "response");
     const Levels levels = levels_of(raw, spec, curve, 1, "image");
     return computed(1, [&](const Context& context) {
       return raw.pixels.channels() == 3
@@ -50,8 +50,9 @@ void bind_capture(py::module_& module) {
   });
 
   module.def("demosaic_color", [](const Image<float>& mosaic, const std::string& colors, int threads) {
+    const auto pattern = named<BayerPattern>(colors, "colors");
     ColorMosaic split =
-        computed(threads, [&](const Context& context) { return demosaic_color(mosaic, colors, "mosaic", context); });
+        computed(threads, [&](const Context& context) { return demosaic_color(mosaic, pattern, "mosaic", context); });
     return std::pair(std::move(split.gray.channels), std::move(split.ratios));
   });
 

@@ -85,8 +85,9 @@ void bind_evidence(py::module_& module) {
 
   module.def("check_response", [](const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
                                   const Mask& mask, const std::string& response) {
+    const Response stated = stated_response(response);
     return by_fields(computed(1, [&](const Context& context) {
-                       return check_response(images, angles_rad, mask, response, context);
+                       return check_response(images, angles_rad, mask, stated, context);
                      }).finding);
   });
 }

@@ -116,16 +116,14 @@ py::tuple points_of(const ColmapModel& model) {
   return py::make_tuple(positions, errors, lengths);
 }
 
-/// Refines a model in place. pictures: image name → file or intensity. freedom: image name → which lens parameters are
-/// adjusted: "all", or all except the principal point.
+/// Refines a model in place. pictures: image name → file or intensity. freedom: image name → which parameters of its
+/// lens are adjusted, by the name of a LensFreedom.
 py::dict refine(ColmapModel& model, const std::map<std::string, PhotoSource>& pictures, const std::string& preferred,
                 const std::map<std::string, std::string>& freedom, const Options& options, int threads,
                 const py::object& on_log) {
   std::map<std::uint32_t, LensFreedom> lenses;
-  for (const auto& [name, text] : freedom) {
-    lenses[model.image(name, "freedom").camera_id] =
-        text == "all" ? LensFreedom::all : LensFreedom::without_principal_point;
-  }
+  for (const auto& [name, text] : freedom)
+    lenses[model.image(name, "freedom").camera_id] = named<LensFreedom>(text, "freedom");
   ModelRefinement done;
   run_interruptible(threads, py::none(), on_log, [&](const Context& context) {
     std::map<std::string, Image<float>> images;
@@ -183,7 +181,7 @@ void bind_photogrammetry(py::module_& module) {
       "detect_targets",
       [](const Image<std::uint8_t>& pixels, const std::string& dictionary) {
         std::vector<std::tuple<int, double, double>> found;
-        for (const CodedTarget& target : detect_targets(pixels, dictionary)) {
+        for (const CodedTarget& target : detect_targets(pixels, named<TargetDictionary>(dictionary, "dictionary"))) {
           found.emplace_back(target.id, target.center.x(), target.center.y());
         }
         return found;

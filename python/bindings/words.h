@@ -3,13 +3,17 @@
 #include <pybind11/pybind11.h>
 
 #include <concepts>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
 #include "malus/core/error.h"
 #include "malus/core/fields.h"
 #include "malus/core/reflection_choice.h"
+#include "malus/io/nearest_name_internal.h"
+#include "malus/io/station_spec.h"
 #include "malus/station/options.h"
 
 namespace malus::python {
@@ -36,6 +40,22 @@ pybind11::object by_fields(const T& value) {
   } else {
     return pybind11::cast(value);
   }
+}
+
+/// Value of an enumeration by its name; throws an input error for another word. `argument` is for the message.
+template <NamedEnum T>
+T named(const std::string& name, const std::string& argument) {
+  if (const auto value = enum_value<T>(name)) return *value;
+  const auto names = names_of(T{});
+  const std::vector<std::string_view> known(names.begin(), names.end());
+  throw input_error(argument + " = \"" + name + "\" is not known" + hint_at_known_names(name, known));
+}
+
+/// The response that a text states; throws an input error for another exponent than one from 0.1 to 10.
+inline Response stated_response(const std::string& text) {
+  const auto response = Response::of(text);
+  if (!response) throw input_error("response = \"" + text + "\", expected \"gamma:X\" with X from 0.1 to 10");
+  return *response;
 }
 
 /// Kind of reflection of a name; "labels" only with labels of the pixels. Throws an input error for another name.

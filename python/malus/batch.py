@@ -99,8 +99,9 @@ def run_campaign(
     shard (i, n): only every n-th station, from the i-th on (1 ≤ i ≤ n), for array jobs.
     cameras: folder with a file of cameras for each station (malus.photogrammetry.shared_frame) that has none of its own.
     Stations that failed before are tried again. A script that calls this at its top level needs `if __name__ == "__main__":`
-    around the call, because the processes import the script. Returns the outcomes of all stations of the campaign; `status` is
-    done, failed or pending, `kept` whether the station was finished by an earlier run.
+    around the call, because the processes import the script. progress: how many stations this run has ended, of how many, and
+    the outcome of the last one. Returns the outcomes of all stations of the campaign, as `outcomes_of`; `status` is done, failed
+    or pending.
     """
     if jobs < 1:
         raise InputError(f"--jobs {jobs}, expected at least 1")
@@ -119,11 +120,7 @@ def run_campaign(
             for count, outcome in enumerate(finished, start=1):
                 if progress is not None:
                     progress(count, len(open_tasks), outcome)
-    ran = {task.identifier for task in open_tasks}
-    return [
-        outcome | {"kept": outcome["status"] != "pending" and outcome["station"] not in ran}
-        for outcome in _merge(campaign, tasks, Path(output))
-    ]
+    return _merge(campaign, tasks, Path(output))
 
 
 def outcomes_of(campaign: Campaign, output: str | Path, cameras: Path | None = None) -> list[Outcome]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,6 +31,19 @@ class Camera:
     params: Sequence[float]
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
     translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def from_description(cls, description: Mapping[str, Any]) -> Camera:
+        """The camera that `description` states, or one within `Station.describe`, which may have no pose."""
+        return cls(**description)
+
+    def description(self) -> dict[str, Any]:
+        """All fields as plain data, checked, under the names that `Station.describe` has."""
+        model, width, height, params, rotation, translation = self.values()
+        return {
+            "model": model, "width": width, "height": height, "params": params,
+            "rotation": rotation.tolist(), "translation": translation.tolist(),
+        }  # fmt: skip
 
     def __eq__(self, other: object) -> bool:
         """Whether lens and pose have the same numbers; the method that a dataclass generates cannot compare arrays."""

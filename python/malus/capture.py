@@ -41,8 +41,6 @@ def demosaic(mosaic: ArrayLike, *, colors: str | None = None, threads: int = ALL
     image = as_image(mosaic, "mosaic")
     if colors is None:
         return _core.demosaic(image, threads)
-    if colors not in BAYER_PATTERNS:
-        raise ValueError(f"colors = {colors!r}, expected one of {', '.join(BAYER_PATTERNS)}")
     channels, ratios = _core.demosaic_color(image, colors, threads)
     factors = np.stack(ratios, axis=-1)
     return [channel[..., None] * factors for channel in channels]

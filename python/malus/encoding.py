@@ -126,14 +126,19 @@ def _contradict(a: Encoding, b: Encoding) -> bool:
     return max(a.exponent, b.exponent) > _OTHER * min(a.exponent, b.exponent)
 
 
+def exponent_of(response: str) -> float | None:
+    """Light as a power of the number by a station file's response, about for "srgb"; None for a lookup table."""
+    if response.startswith("gamma:"):
+        return positive(response.removeprefix("gamma:"))
+    return {"linear": 1.0, "srgb": _SRGB_EXPONENT}.get(response)
+
+
 def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str, str]]:
     """Check, message and suggestion if image files state another encoding than the station file's response; else an empty list.
 
     The check is "encoding" if one of the two is linear, or "curve" if both are for a display.
     """
-    exponent = {"linear": 1.0, "srgb": _SRGB_EXPONENT}.get(response)
-    if exponent is None and response.startswith("gamma:"):
-        exponent = positive(response.removeprefix("gamma:"))
+    exponent = exponent_of(response)
     taken = None if exponent is None else _of_exponent(exponent, "")
     if taken is None:  # a lookup table, or a curve that is neither linear nor a display's
         return []

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from malus import _core, encoding, exif, photogrammetry, raw, scans
 from malus._files import require_utf8, sha256_of
+from malus.camera import Camera
 from malus.errors import DataError
 from malus.options import Options
 from malus.overlay import write_overlay
-from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.memory import limit_mb
 from malus.photogrammetry.plan import Plan
 from malus.result import Confidence, Result
@@ -236,7 +236,9 @@ def _with_photos(
             log_of("photos")("warning", warning)
         lens = cameras.station
         if "camera" in description:
-            lens = replace(camera_of(description["camera"]), rotation=lens.rotation, translation=lens.translation)
+            lens = replace(
+                Camera.from_description(description["camera"]), rotation=lens.rotation, translation=lens.translation
+            )
         else:
             # Now that the lens is known, the images can be undistorted.
             placed = station.with_photogrammetry(lens.values(), None, "{}", "{}", [], {})
@@ -325,7 +327,7 @@ def _planned(
     of all of them; those that its own file names need not suffice.
     """
     said = {**description, "scale": [], "control": []} if known else description
-    return photogrammetry.plan(said, settings, threads, 1e-6 * width * height, read_masks=not known)
+    return photogrammetry.plan(said, 1e-6 * width * height, options=settings, threads=threads, read_masks=not known)
 
 
 def prior_upon_image(

@@ -206,15 +206,18 @@ class Station:
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
         channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
         camera's pose, which `Camera.resected` makes from others, or that give it with `photos`) and `object` (catalog entries).
-        Relative file names in them start at the current folder. Wrong shapes and masked values raise ValueError; wrong values
-        malus.InputError, whose message names tables and keys as for a file.
+        Relative file names in them start at the current folder. Wrong shapes, masked values and what both an argument and a table
+        state raise ValueError; wrong values malus.InputError, whose message names tables and keys as for a file.
         """
+        noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
+        _require_said_once("polarized", polarized, angles_deg=angles_deg, **noise)
+        _require_said_once("optics", optics, refractive_index=refractive_index, reflection=reflection, metal=metal)
+        _require_said_once("prior", prior, sigma=prior_sigma)
         stack, whole_numbers = _stack(images, camera, polarized)
         shape = stack[0].shape[:2]
         arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, shape, (prior, photos))
-        labels = None if isinstance(reflection, str | os.PathLike) else _labels(reflection, optics, shape)
+        labels = None if isinstance(reflection, str | os.PathLike) else as_labels(reflection, "reflection", shape)
         self._labels_sha256 = None if labels is None else hashlib.sha256(labels.tobytes()).hexdigest()
-        noise = {"frames_averaged": frames_averaged, "full_well_e": full_well_e, "read_noise_e": read_noise_e}
         tables = {
             "station": {"name": name, "unit": unit},
             "polarized": {"angles_deg": _angles(angles_deg, len(stack)), **noise, **(polarized or {})},
@@ -222,11 +225,8 @@ class Station:
             "object": object,
             "prior": prior if prior_sigma is None else {**(prior or {}), "sigma": prior_sigma},
             "photos": None if photos is None else _with_absolute_folders(photos),
-            "patch": patches,
-            "profile": profiles,
-            "scale": scale,
-            "control": control,
-        }
+            "patch": patches, "profile": profiles, "scale": scale, "control": control,
+        }  # fmt: skip
         self._core = _core.Station.from_arrays(
             images=stack,
             whole_numbers=whole_numbers,
@@ -304,6 +304,14 @@ def _loaded(file: str, curves: list[tuple[int, int]] | None, photos_of: str | No
     return station if curves is None else station.with_curves_of(curves)
 
 
+def _require_said_once(name: str, table: Mapping[str, Any] | None, **arguments: Any) -> None:
+    """ValueError if one of the arguments, by its key in this table, is not the default and the table has the key, too."""
+    for key, value in arguments.items():
+        default = (Station.__init__.__kwdefaults__ or {}).get(key)
+        if key in (table or {}) and not (np.ndim(value) == 0 and value == default):
+            raise ValueError(f"{name}: has {key}, which an argument states, too, expected one of them")
+
+
 def _stack(
     images: Sequence[ArrayLike] | NDArray[Any], camera: Camera | None, polarized: PolarizedValues | None
 ) -> tuple[list[NDArray[Any]], bool]:
@@ -337,12 +345,6 @@ def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:
     """The table with absolute paths: COLMAP is started in another folder."""
     values: dict[str, Any] = dict(photos)
     return values | {key: os.path.abspath(values[key]) for key in ("folder", "masks") if key in values}
-
-
-def _labels(reflection: ArrayLike, optics: OpticsValues | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    if optics is not None and "reflection" in optics:
-        raise ValueError("reflection and optics: both state the reflection, expected one of them")
-    return as_labels(reflection, "reflection", shape)
 
 
 def _prior_arrays(

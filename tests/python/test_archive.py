@@ -163,7 +163,7 @@ def test_files_that_a_station_made_in_code_names_are_inputs(
     """They were called arrays, and left out."""
     said = malus.Station.load(small_station).describe()
     images = [tifffile.imread(path) for path in said["images"]]
-    camera = malus.Camera(**said["camera"])
+    camera = malus.Camera.from_description(said["camera"])
     monkeypatch.chdir(small_station.parent)
     station = malus.Station(
         images, said["angles_deg"], camera, polarized={"white_level": 16383}, prior={"cloud": "dense/cloud.ply"}

@@ -23,6 +23,7 @@ from conftest import edit, half_written, malus_here, needs_distributed
 from conftest import malus as run_malus
 from malus._files import read_record, write_record
 from malus.campaign import Campaign, Task
+from malus.cli import many
 from malus.options import Options
 
 CAMPAIGN = """
@@ -87,7 +88,14 @@ def test_a_campaign_reports_its_start_at_once(three: tuple[Path, Path]) -> None:
 def test_a_later_run_says_which_stations_it_has_run(three: tuple[Path, Path]) -> None:
     file, output = three
     said = malus_here("batch", file, "-o", output).out.splitlines()
-    assert said[1:] == ["  run now: o01; kept from an earlier run: 2", f"  page: {output / 'index.html'}"]
+    assert said[1:] == ["  run now: o01; run before or elsewhere: 2", f"  page: {output / 'index.html'}"]
+
+
+def test_stations_of_other_shards_are_not_of_an_earlier_run_and_long_lists_end() -> None:
+    outcomes = [{"station": f"o{k}", "status": "done" if k < 9 else "pending"} for k in range(10)]
+    (said,) = many._words_on_runs(outcomes, [f"o{k}" for k in range(8)])
+    assert said == "  run now: o0, o1, o2, o3, o4, o5 and 2 more; run before or elsewhere: 1"
+    assert many._words_on_runs(outcomes, [f"o{k}" for k in range(9)]) == []
 
 
 def test_broken_station_is_listed_and_the_others_finish(three: tuple[Path, Path]) -> None:
@@ -121,7 +129,7 @@ def test_done_stations_are_not_run_again_but_corrected_ones_are(three: tuple[Pat
     outcomes = malus.batch.run_campaign(
         campaign, three[1], progress=lambda done, total, outcome: ran.append(outcome["station"])
     )
-    assert ran == ["o01"] and [outcome["kept"] for outcome in outcomes] == [True, False, True]
+    assert ran == ["o01"] and outcomes == malus.batch.outcomes_of(campaign, three[1])
     assert [outcome["status"] for outcome in outcomes] == ["done"] * 3
     assert malus.batch.failure(outcomes) is None
 

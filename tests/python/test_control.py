@@ -87,8 +87,7 @@ def test_pose_of_a_camera_on_arrays() -> None:
 @pytest.fixture
 def resected(small_station: Path) -> tuple[Path, package.Camera, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """The small station with a lens but no pose; its true camera, the targets' world coordinates and their pixels."""
-    said = package.Station.load(small_station).describe()["camera"]
-    camera = package.Camera(**said)
+    camera = package.Camera.from_description(package.Station.load(small_station).describe()["camera"])
     rotation, translation = camera.pose()
     depth = float((rotation @ _core.read_points(str(EXAMPLE / "dense" / "cloud.ply"))[0] + translation)[2])
     points = {}

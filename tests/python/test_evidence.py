@@ -96,6 +96,8 @@ def test_order_and_response(images: list[np.ndarray], angles: np.ndarray) -> Non
     assert swapped.severity == "warning", swapped.message
     assert np.rad2deg(swapped.angles_rad) == pytest.approx([0, 90, 60, 30, 120, 150])
     assert evidence.check_response(images, angles).severity == "note"
+    with pytest.raises(malus.InputError, match='response = "gamma:0", expected "gamma:X" with X from 0.1 to 10'):
+        evidence.check_response(images, angles, response="gamma:0")
     counts = [np.rint(65535 * image).astype(np.uint16) for image in images]
     assert evidence.check_order(counts, angles).message == evidence.check_order(images, angles).message
     assert evidence.check_response(counts, angles).message == evidence.check_response(images, angles).message

@@ -199,6 +199,13 @@ def test_expected_memory_is_that_of_the_largest_stage() -> None:
     assert cost.sweep_cost(work(40, 2598)).memory_mb < cost.sweep_cost(many).memory_mb - floats_mb(40, 5196) / 2
 
 
+def test_other_words_for_the_freedom_of_a_lens_are_refused() -> None:
+    """Any word but "all" was taken for the other one."""
+    model = _core.ColmapModel.read(str(EXAMPLE / "sparse"))
+    with pytest.raises(malus.InputError, match='freedom = "al" is not known; did you mean all'):
+        model.refine({}, "station.jpg", {"station.jpg": "al"}, malus.Options().to_json(), 1, None)
+
+
 def test_windows_are_read_from_files() -> None:
     model = _core.ColmapModel.read(str(EXAMPLE / "sparse"))
     names = list(model.images())

@@ -861,6 +861,11 @@ def test_a_calibrated_lens_of_the_photos_is_not_adjusted(
     assert adjustment == adjusted
 
 
+def test_a_dictionary_of_targets_that_is_not_known_is_named() -> None:
+    with pytest.raises(package.InputError, match='dictionary = "aruco_4x4" is not known; did you mean aruco_4x4_50'):
+        _core.detect_targets(np.zeros((16, 16), np.uint8), "aruco_4x4")
+
+
 def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = {"a": [(3, 10.0, 20.0), (3, 500.0, 90.0), (7, 30.0, 40.0)], "b": [(3, 11.0, 21.0)]}
     monkeypatch.setattr(scale, "read_gray", lambda path: path.name)
@@ -873,22 +878,17 @@ def test_a_target_that_a_photo_shows_twice_is_not_taken_from_it(monkeypatch: pyt
 def test_distances_that_cannot_give_a_size_are_refused_before_the_photos_are_matched() -> None:
     def bar(*images: str, **more: object) -> dict[str, object]:
         end = [{"image": image} for image in images]
-        return {"a": end, "b": end, "targets": None, "targets_dictionary": "", "check": False} | more
+        return {"a": end, "b": end, "targets": None, "targets_dictionary": None, "check": False} | more
 
     def require(*bars: dict[str, object]) -> None:
         scale.require_scale({"path": "s.toml", "scale": bars}, ["a.jpg", "b.jpg"])
 
     require()
     require(bar("a.jpg", "b.jpg", "station.jpg"), bar("a.jpg", "station.jpg"))
-    targets = {"targets": [3, 7], "targets_dictionary": "aruco_4x4_50"}
-    require(bar(**targets))
+    require(bar(targets=[3, 7], targets_dictionary="aruco_4x4_50"))
     for bars, said in (
         ([bar("a.jpg", "station.jpg")], r"s\.toml: \[\[scale\]\]: no distance .* marks in station.jpg do not count"),
         ([bar("a.jpg", "b.jpg", check=True)], "no distance without check = true"),
-        (
-            [bar("a.jpg", "b.jpg"), bar(**targets | {"targets_dictionary": "aruco_4x4"})],
-            r"\[\[scale\]\] 2: .*aruco_4x4",
-        ),
     ):
         with pytest.raises(package.InputError, match=said):
             require(*bars)

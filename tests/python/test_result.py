@@ -15,6 +15,7 @@ import malus
 from conftest import QUICK
 from malus import synthetic
 from malus.glossary import definitions
+from malus.object import Object
 from malus.threads import ALL_CORES
 
 
@@ -160,11 +161,14 @@ def test_fewer_threads_than_one_are_refused(
 def test_all_cores_by_default() -> None:
     assert ALL_CORES >= 1
     assert malus.reconstruct.__kwdefaults__["threads"] == ALL_CORES
-    steps = ("polarization", "capture", "prior", "evidence", "height", "fusion", "surface", "assess", "stereo")
+    steps = (
+        "polarization", "capture", "prior", "evidence", "height", "fusion", "surface", "assess", "stereo", "photogrammetry",
+    )  # fmt: skip
     functions = [value for step in steps for value in vars(getattr(malus, step)).values() if inspect.isfunction(value)]
     threads = [inspect.signature(function).parameters.get("threads") for function in functions]
     defaults = [parameter.default for parameter in threads if parameter is not None]
-    assert len(defaults) > 20 and set(defaults) == {ALL_CORES}
+    defaults.append(Object.check.__kwdefaults__["threads"])
+    assert len(defaults) > 25 and set(defaults) == {ALL_CORES}
 
 
 def test_glossary_defines_each_term_in_a_sentence() -> None:

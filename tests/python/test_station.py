@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 import pickle
 import re
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from malus import _core, reconstruction
 from malus import station as tables
 from malus.photogrammetry.control import require_control_points
 
+ROOT = Path(__file__).parents[2]
 ANGLES = [0.0, 60.0, 120.0]
 SIZE = (40, 60)
 CAMERA = malus.Camera("PINHOLE", SIZE[1], SIZE[0], [200.0, 200.0, 29.5, 19.5])
@@ -210,7 +213,7 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         ),
         ({"polarized": {"images": ["a.png"]}}, r"\[polarized\].images"),
         ({"optics": {"light": [0, 0, 1]}}, r"\[optics\].light.*expected a direction"),
-        ({"optics": {"reflection": "matte"}}, r"\[optics\].reflection.*file of a label image"),
+        ({"reflection": "matte"}, r"\[optics\].reflection.*file of a label image"),
         ({"metal": "bronz"}, r"\[optics\].metal = .bronz., expected .*\"bronze\""),
         ({"metal": [0.7, 0.0]}, r"\[optics\].metal.*k from 0.5 to 20"),
         ({"metal": "bronze"}, r"\[optics\].metal.*reflection = \"diffuse\""),
@@ -249,12 +252,28 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
         ({"prior_points": np.ma.masked_equal(np.eye(3), 1)}, "prior_points has masked values"),
         ({"reflection": np.ones((3, 3))}, r"reflection has shape \(3, 3\), expected \(40, 60\)"),
         ({"reflection": np.full(SIZE, 3)}, r"reflection has the value 3, expected 0 \(decide\)"),
-        ({"reflection": np.ones(SIZE), "optics": {"reflection": "auto"}}, "both state the reflection"),
+        ({"reflection": np.ones(SIZE), "optics": {"reflection": "auto"}}, "optics: has reflection, which an argument"),
+        ({"optics": {"reflection": "auto"}}, "optics: has reflection, which an argument"),
+        ({"metal": (0.7, 2.6), "optics": {"metal": "none"}}, "optics: has metal, which an argument"),
+        ({"refractive_index": None, "optics": {"refractive_index": 1.4}}, "optics: has refractive_index, which an"),
+        ({"polarized": {"frames_averaged": 4}}, "polarized: has frames_averaged, which an argument"),
+        ({"read_noise_e": 3.0, "polarized": {"read_noise_e": None}}, "polarized: has read_noise_e, which an argument"),
+        ({"polarized": {"angles_deg": "auto"}}, "polarized: has angles_deg, which an argument"),
+        ({"prior_sigma": 2.0, "prior": {"cloud": "a.ply", "sigma": 1.0}}, "prior: has sigma, which an argument"),
     ],
 )
 def test_contradictory_arguments_are_refused(pictures: list[np.ndarray], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         in_memory(pictures, **changes)
+
+
+def test_tables_may_state_what_no_argument_states(pictures: list[np.ndarray]) -> None:
+    stated: dict[str, Any] = {
+        "polarized": {"white_level": 255, "frames_averaged": 4},
+        "optics": {"refractive_index": 1.4, "metal": "none"},
+    }
+    described = malus.Station(pictures, np.repeat(ANGLES, 2), CAMERA, **stated).describe()
+    assert [described[key] for key in ("frames_averaged", "refractive_index", "metal")] == [4, 1.4, "none"]
 
 
 def test_priors_given_as_a_shape_and_with_a_standard_deviation(pictures: list[np.ndarray]) -> None:
@@ -415,28 +434,95 @@ def test_angles_in_radians_are_refused(pictures: list[np.ndarray]) -> None:
         malus.Station(pictures, np.radians(np.repeat(ANGLES, 2)), CAMERA, **WORDS)
 
 
+def test_a_file_that_is_called_as_a_response_is_no_table(
+    pictures: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The key of the step depended on the current folder, and an archive took the file."""
+    keys = []
+    for folder in ("empty", "full"):
+        (tmp_path / folder).mkdir()
+        monkeypatch.chdir(tmp_path / folder)
+        if folder == "full":
+            Path("srgb").write_text("0 0\n255 1\n")
+        station = in_memory(pictures)
+        assert station.describe()["response"] == "srgb" and station.describe()["files"] == []
+        options = malus.Options(capture={"registration": "off"})
+        malus.reconstruct(station, options, until="polarization", threads=1, workspace=tmp_path / folder / "work")
+        keys.append(malus.Workspace(tmp_path / folder / "work").manifest["steps"]["polarization"]["key"])
+    assert keys[0] == keys[1]
+
+
+def test_a_camera_is_that_of_its_description(pictures: list[np.ndarray]) -> None:
+    turned = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    camera = malus.Camera("SIMPLE_RADIAL", SIZE[1], SIZE[0], (40, 29.5, 19.5, -0.3), turned, np.arange(3))
+    said = json.loads(json.dumps(camera.description()))
+    assert malus.Camera.from_description(said) == camera
+    assert in_memory(pictures).describe()["camera"] == CAMERA.description()
+    del said["rotation"], said["translation"]
+    assert malus.Camera.from_description(said) == malus.Camera(camera.model, camera.width, camera.height, camera.params)
+
+
 def test_a_metal_is_stated_by_name_or_index(pictures: list[np.ndarray]) -> None:
     assert in_memory(pictures, reflection="auto", metal="bronze").describe()["metal"] == "bronze"
     for index in (np.array([0.7, 2.6]), 0.7 + 2.6j, np.complex128(0.7, 2.6)):
         assert in_memory(pictures, reflection="auto", metal=index).describe()["metal"] == "0.7+2.6i"
 
 
-def test_metals_of_page_and_documentation_are_those_of_the_parser(pictures: list[np.ndarray]) -> None:
-    with pytest.raises(malus.InputError) as refused:
-        in_memory(pictures, metal="?")
-    known = re.findall(r'"([a-z]+)"', str(refused.value))[2:]  # after "auto" and "none"
-    root = Path(__file__).parents[2]
-    page = (root / "python/malus/studio/static/station.js").read_text(encoding="utf-8")
-    assert re.findall(r"'(\w+)'", page.split("function metalChoice")[1].split("names = [")[1].split("]")[0]) == known
-    documented = (root / "docs/station-file.md").read_text(encoding="utf-8").split("| metal |")[1].split("\n\n")[0]
-    assert re.findall(r"^\| (\w+) \| [\d.]+ \+ [\d.]+ i \|", documented, re.MULTILINE) == known
+def names_expected(make: Callable[[], object]) -> list[str]:
+    """The words in quotes that the program expects in place of a "?"."""
+    with pytest.raises(malus.InputError, match=r"= '\?', expected") as refused:
+        make()
+    return re.findall(r'"([\w:]+)"', str(refused.value).split(", expected")[1])
+
+
+def listed_in(page: str, begin: str, end: str) -> list[str]:
+    """Names in quotes between two texts of Studio's page."""
+    return re.findall(r"'(\w+)'", page.split(begin)[1].split(end)[0])
+
+
+def test_words_of_page_and_documentation_are_those_of_the_program(pictures: list[np.ndarray]) -> None:
+    page = (ROOT / "python/malus/studio/static/station.js").read_text(encoding="utf-8")
+    documented = (ROOT / "docs/station-file.md").read_text(encoding="utf-8")
+    metals = names_expected(lambda: in_memory(pictures, metal="?"))[2:]  # after "auto" and "none"
+    assert listed_in(page.split("function metalChoice")[1], "names = [", "]") == metals
+    table = documented.split("| metal |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| (\w+) \| [\d.]+ \+ [\d.]+ i \|", table, re.MULTILINE) == metals
+    catalog = page.split("CATALOG = [")[1].split("]];")[0]
+    assert re.findall(r"\['(\w+)', ", f"[{catalog}") == list(in_memory(pictures).describe()["object"])
+    units = names_expected(lambda: in_memory(pictures, unit="?"))
+    assert sorted(listed_in(page, "'unit') ?? 'mm', [", "]")) == sorted(units)
+    lengths = (ROOT / "python/malus/studio/static/api.js").read_text(encoding="utf-8").split("METERS = {")[1]
+    assert re.findall(r"(\w+): ", lengths.split("}")[0]) == units
+    reflections = page.split("'Reflection', under('optics', 'reflection') ?? 'auto', [")[1].split("]]")[0]
+    words = names_expected(lambda: in_memory(pictures, reflection="?"))
+    assert sorted(re.findall(r"\['(\w+)', ", reflections)) == sorted(words)
+
+
+def test_literals_of_types_are_the_names_of_the_program(pictures: list[np.ndarray]) -> None:
+    mosaic, cell = [np.ones((8, 8))], [[90, 45], [135, 0]]
+    makers: dict[str, Callable[[], object]] = {
+        "angle_direction": lambda: in_memory(pictures, polarized={"angle_direction": "?"}),
+        "channel": lambda: in_memory(pictures, polarized={"channel": "?"}),
+        "mosaic_colors": lambda: malus.Station(mosaic, None, None, polarized={"mosaic": cell, "mosaic_colors": "?"}),
+    }
+    types = get_type_hints(tables.PolarizedValues)
+    words = {key: list(get_args(allowed)) for key, allowed in types.items() if get_origin(allowed) is Literal}
+    assert words == {key: names_expected(make) for key, make in makers.items()}
+
+
+def keys_in(source: str, lists: str) -> set[str]:
+    """Keys that a source of the parser lists, for tables that have no type in Python."""
+    text = (ROOT / "cpp/malus/io" / source).read_text(encoding="utf-8")
+    return set(re.findall(r'"(\w+)"', " ".join(re.findall(lists, text))))
 
 
 def test_types_of_tables_have_the_keys_of_the_station_file(pictures: list[np.ndarray]) -> None:
     """Keys of docs/station-file.md, which are those of the parser; those that name image files are for station files only."""
-    text = (Path(__file__).parents[2] / "docs/station-file.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/station-file.md").read_text(encoding="utf-8")
     of_files = {"images", "angles_deg", "angle_pattern", "mask"}
     expected = {
+        "[station]": keys_in("station_file.cpp", r'section\("station", \{(.*?)\}'),
+        "[camera]": keys_in("camera_section.cpp", r"Keys \w+(?:\{| = joined\(\{\{)(.*?)\}"),
         "[object]": set(in_memory(pictures).describe()["object"]),
         "[polarized]": set(tables.PolarizedValues.__annotations__) | of_files,
         "[optics]": set(tables.OpticsValues.__annotations__),

@@ -82,6 +82,8 @@ def test_capture_on_arrays() -> None:
         mosaic[row::2, column::2] = value
     for value, image in zip((0.1, 0.2, 0.3, 0.4), malus.capture.demosaic(mosaic), strict=True):
         np.testing.assert_allclose(image, value, atol=1e-6)
+    with pytest.raises(ValueError, match='colors = "RGBG" is not known'):
+        malus.capture.demosaic(mosaic, colors="RGBG")
 
     def texture(shift: tuple[float, float]) -> np.ndarray:
         x, y = np.meshgrid(np.arange(160) - shift[0], np.arange(120) - shift[1])

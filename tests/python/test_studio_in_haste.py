@@ -6,6 +6,7 @@ import io
 import os
 import re
 import shutil
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -172,6 +173,21 @@ def test_text_typed_while_an_answer_is_awaited_stays(page: Any, station: Path) -
     page.keyboard.press("Tab")
     wait_for(page, lambda: "white_level = 70000" in station.read_text())
     assert 'name = "Marked"' in station.read_text()
+
+
+def test_lines_typed_into_a_description_while_an_answer_is_awaited_stay(page: Any, station: Path) -> None:
+    page.get_by_text("For the catalog").click()
+    kept = held(page, "set")
+    page.get_by_role("textbox", name="Name of the object").fill("Quick")
+    place = page.get_by_label("Description")
+    place.click()  # takes the focus from the name
+    place.press_sequentially("Two\n")
+    let_go(page, kept)
+    wait_for(page, lambda: 'name = "Quick"' in page.locator("#station-text").input_value())
+    place.press_sequentially("lines")
+    place.press("Tab")
+    wait_for(page, lambda: tomllib.loads(station.read_text()).get("object") == {"description": "Two\nlines"})
+    require_accessible(page)
 
 
 def test_the_last_of_several_quick_choices_counts(served: Served, page: Any) -> None:

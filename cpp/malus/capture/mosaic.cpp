@@ -62,8 +62,8 @@ Image<float> interpolate(Size size, std::size_t place, const Value& value) {
 }
 
 /// Color filter over a pixel.
-char color_at(const std::string& colors, int u, int v) {
-  return colors[cell_of(u / 2, v / 2)];
+char color_at(BayerPattern colors, int u, int v) {
+  return enum_name(colors)[cell_of(u / 2, v / 2)];
 }
 
 /// Throws an input error unless a mosaic has one channel and consists of whole cells of this side, `described` in
@@ -82,8 +82,8 @@ void require_color_cells(const Image<float>& mosaic, const std::string& name) {
 
 /// Ratio of one color's samples to their expected values without color, smoothed and interpolated to all pixels. The
 /// mean weights a cell's four polarizers equally, so that their differences cancel.
-Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expected, const std::string& colors,
-                         char color, const cv::Mat& cells) {
+Image<float> color_ratio(const Image<float>& mosaic, const Image<float>& expected, BayerPattern colors, char color,
+                         const cv::Mat& cells) {
   const Size size = mosaic.size();
   Image<float> ratios(size), weights(size);
   for_each_pixel(size, [&](int u, int v) {
@@ -176,7 +176,7 @@ MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const 
   return result;
 }
 
-std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, BayerPattern colors, const std::string& name,
                                          const Context& context) {
   require_color_cells(mosaic, name);
   const Size size = mosaic.size();
@@ -206,7 +206,7 @@ std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::
   return result;
 }
 
-ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+ColorMosaic demosaic_color(const Image<float>& mosaic, BayerPattern colors, const std::string& name,
                            const Context& context) {
   require_color_cells(mosaic, name);
   const Size size = mosaic.size();

@@ -5,6 +5,7 @@
 
 #include "malus/core/context.h"
 #include "malus/core/image.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -29,11 +30,10 @@ struct MosaicSplit {
 MosaicSplit demosaic(const Image<float>& mosaic, const std::string& name, const Context& context);
 
 /// Splits the mosaic of a color polarization camera into one mosaic per color (R, G, B), each an input of `demosaic`.
-/// Each 2 × 2 cell of polarizers lies under one color filter, and 2 × 2 cells make a Bayer pattern: `colors` are its
-/// letters by rows, such as "RGGB". Each color is interpolated bilinearly among the samples of one polarizer. Use this
-/// only for the polarization of a single color, because bilinear interpolation turns texture into false polarization.
-/// Width and height are multiples of 4.
-std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+/// Each 2 × 2 cell of polarizers lies under one color filter, and 2 × 2 cells make the Bayer pattern `colors`. Each
+/// color is interpolated bilinearly among the samples of one polarizer. Use this only for the polarization of a single
+/// color, because bilinear interpolation turns texture into false polarization. Width and height are multiples of 4.
+std::array<Image<float>, 3> split_colors(const Image<float>& mosaic, BayerPattern colors, const std::string& name,
                                          const Context& context);
 
 /// A color polarization camera's mosaic: intensities behind the polarizers in the order of the cell, free of color, and
@@ -46,7 +46,7 @@ struct ColorMosaic {
 /// Splits a mosaic as split_colors describes it under the assumption that all colors are polarized alike. Color varies
 /// less than brightness, as polarization does. Each color's factor over its samples, smoothed (Gaussian, 2 px), is
 /// divided out, and `demosaic` splits the resulting gray mosaic at full resolution; three rounds.
-ColorMosaic demosaic_color(const Image<float>& mosaic, const std::string& colors, const std::string& name,
+ColorMosaic demosaic_color(const Image<float>& mosaic, BayerPattern colors, const std::string& name,
                            const Context& context);
 
 /// 255 where a saturated sample lies within `reach` pixels, so that a demosaicked pixel may depend on it.

@@ -52,9 +52,9 @@ std::vector<NoiseBlock> quietest_blocks(std::vector<NoiseBlock> blocks) {
 
 /// A color mosaic's samples behind one polarizer and one green filter: every fourth pixel of every fourth row. All
 /// neighbors in the mosaic itself include other colors, whose differences would pass for noise.
-LinearImage samples_of_one_filter(const LinearImage& mosaic, const std::string& colors) {
+LinearImage samples_of_one_filter(const LinearImage& mosaic, BayerPattern colors) {
   constexpr int period = 4;
-  const int place = static_cast<int>(colors.find('G')), u0 = 2 * (place % 2), v0 = 2 * (place / 2);
+  const int place = static_cast<int>(enum_name(colors).find('G')), u0 = 2 * (place % 2), v0 = 2 * (place / 2);
   const Size size = mosaic.intensity.size();
   const Size alike{(size.width - u0 + period - 1) / period, (size.height - v0 + period - 1) / period};
   LinearImage samples{Image<float>(alike), Mask(alike)};

@@ -124,21 +124,14 @@ double ResponseCurve::slope(double value) const {
   return (linearize(high * scale) - linearize(low * scale)) / (high - low);
 }
 
-ResponseCurve response_curve(const std::string& response, const std::string& where) {
-  if (response == "linear") return {};
-  if (response == "srgb") return {.kind = ResponseCurve::Kind::srgb, .encoded = {}, .linear = {}};
-  if (response.starts_with("gamma:")) {
-    const auto exponent = numbers_of(std::string_view(response).substr(6));
-    if (!exponent || exponent->size() != 1 || exponent->front() < 0.1 || exponent->front() > 10) {
-      throw input_error(where + " = \"" + response + "\", expected \"gamma:X\" with X from 0.1 to 10");
-    }
-    return {.kind = ResponseCurve::Kind::gamma, .exponent = exponent->front(), .encoded = {}, .linear = {}};
-  }
-  if (!std::filesystem::is_regular_file(response)) {
-    throw input_error(where + " = \"" + response +
+ResponseCurve response_curve(const Response& response, const std::string& where) {
+  const std::optional<std::filesystem::path> table = response.table();
+  if (!table) return {.kind = response.kind(), .exponent = response.exponent(), .encoded = {}, .linear = {}};
+  if (!std::filesystem::is_regular_file(*table)) {
+    throw input_error(where + " = \"" + response.text() +
                       "\", expected \"linear\", \"srgb\", \"gamma:X\" or the path of a lookup table that exists");
   }
-  return read_response_table(response);
+  return read_response_table(*table);
 }
 
 ResponseCurve read_response_table(const std::filesystem::path& path) {

@@ -14,7 +14,7 @@ namespace malus {
 
 /// How encoded intensities (0 = black level, 1 = white level) become linear ones.
 struct ResponseCurve {
-  enum class Kind { linear, srgb, gamma, table };
+  using Kind = Response::Kind;
 
   Kind kind = Kind::linear;
   double exponent = 1;          ///< gamma: linear = encoded ^ exponent
@@ -31,9 +31,9 @@ struct ResponseCurve {
   double slope(double value) const;
 };
 
-/// Curve of a station file's `response`: "linear", "srgb", "gamma:X" with X from 0.1 to 10, or the path of a lookup
-/// table. `where` names file and field in messages. Throws an input error that lists what was expected.
-ResponseCurve response_curve(const std::string& response, const std::string& where);
+/// Curve of a response. `where` names file and field in messages. Throws an input error for a lookup table that does
+/// not exist, which lists what else was expected, and those of read_response_table.
+ResponseCurve response_curve(const Response& response, const std::string& where);
 
 /// Lookup table from a text file of at most 4 MB and 65536 rows; '#' starts a comment, columns are separated by blanks,
 /// commas or semicolons. Two columns: encoded (DN, or [0, 1] when none exceeds 1) and linear intensity in any unit

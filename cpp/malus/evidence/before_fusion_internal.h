@@ -10,6 +10,7 @@
 #include "malus/core/pose.h"
 #include "malus/evidence/phase_agreement_internal.h"
 #include "malus/evidence/prior_alignment_internal.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -20,7 +21,7 @@ struct BeforeFusion {
   const Image<float>& prior_depth;    ///< in the station view, NaN = none
   const PointCloud* cloud = nullptr;  ///< cloud that the prior was made of (world frame); null = another kind of prior
   bool known_linear = false;          ///< the response check found the images linear (says_linear)
-  std::string response = "linear";    ///< curve that made the images linear, by its name in the station file
+  Response response{};                ///< made the images linear
 };
 
 /// All checks of the input that need no fusion: "size", "phase", "prior" (where the cloud or depth map lies) and

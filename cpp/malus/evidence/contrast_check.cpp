@@ -15,7 +15,7 @@ const double halfway_to_encoded = std::sqrt(encoding), halfway_to_decoded_twice 
 
 }  // namespace
 
-Finding check_contrast(const AlignmentEvidence& color, const std::string& response, bool known_linear) {
+Finding check_contrast(const AlignmentEvidence& color, const Response& response, bool known_linear) {
   Finding finding;
   finding.check = "contrast";
   finding.message =
@@ -34,16 +34,16 @@ Finding check_contrast(const AlignmentEvidence& color, const std::string& respon
   } else if (most < halfway_to_encoded) {
     finding.severity = Severity::warning;
     text << ", while linear images have some 2.2 times that: they look encoded for a display, but response = \""
-         << response << "\" takes them as linear";
+         << response.text() << "\" takes them as linear";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
   } else if (color.contrast > halfway_to_decoded_twice) {
     finding.severity = Severity::warning;
-    if (response == "linear") {
+    if (response.is_identity()) {
       text << ", while linear images have some 2.2 times that: they look decoded twice before they were written";
       finding.suggestion = "were they made with a contrast curve, or made linear by another program already?";
     } else {
       text << ", while linear images have some 2.2 times that: they look linear in the file, but response = \""
-           << response << "\" decodes them";
+           << response.text() << "\" decodes them";
       finding.suggestion = "is response = \"linear\" right?";
     }
   } else {

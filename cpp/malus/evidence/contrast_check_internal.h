@@ -4,6 +4,7 @@
 
 #include "malus/core/finding.h"
 #include "malus/evidence/prior_alignment_internal.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -14,6 +15,6 @@ namespace malus {
 /// below 1.48 even when divided by the correlation, gives a warning; the margins allow for the photos' tone curves.
 /// known_linear: the response check found the images linear; then a different contrast of the cloud's colors, such as
 /// those of a scanner, raises no doubt about the images.
-Finding check_contrast(const AlignmentEvidence& color, const std::string& response, bool known_linear);
+Finding check_contrast(const AlignmentEvidence& color, const Response& response, bool known_linear);
 
 }  // namespace malus

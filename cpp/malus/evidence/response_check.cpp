@@ -65,7 +65,7 @@ std::array<Sums, PixelSamples::part_count> sums_of(const PixelSamples& samples, 
 }  // namespace
 
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                             const Mask& mask, const std::string& response, const Context& context) {
+                             const Mask& mask, const Response& response, const Context& context) {
   const PixelSamples samples = pixel_samples(images, angles_rad, mask, 0, context);
   ResponseCheck result;
   Finding& finding = result.finding;
@@ -99,9 +99,10 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
   const bool certain = std::abs(result.bend) > certain_sigmas * result.bend_sigma;
   if (certain && result.bend < bend_of_encoded / 2) {
     finding.severity = Severity::warning;
-    finding.message = "the images look encoded for a display, but response = \"" + response + "\" takes them as linear";
+    finding.message =
+        "the images look encoded for a display, but response = \"" + response.text() + "\" takes them as linear";
     finding.suggestion = "is response = \"srgb\" right, or can the camera's raw files be developed linearly?";
-  } else if (certain && result.bend > bend_of_decoded / 2 && response == "linear") {
+  } else if (certain && result.bend > bend_of_decoded / 2 && response.is_identity()) {
     // No curve was applied that could have bent the sinusoid: the cause is another, and no other response corrects it.
     finding.message =
         "whether the images are linear could not be checked: the sinusoid is bent, but not as by a response curve; "
@@ -109,7 +110,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
     finding.figures = {{"bend_of_something_else", result.bend}};
   } else if (certain && result.bend > bend_of_decoded / 2) {
     finding.severity = Severity::warning;
-    finding.message = "the images look linear in the file, but response = \"" + response + "\" decodes them";
+    finding.message = "the images look linear in the file, but response = \"" + response.text() + "\" decodes them";
     finding.suggestion = "is response = \"linear\" right?";
   } else {
     finding.message = "the images are linear in the light, as far as the sinusoid tells";

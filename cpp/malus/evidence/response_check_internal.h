@@ -6,6 +6,7 @@
 #include "malus/core/context.h"
 #include "malus/core/finding.h"
 #include "malus/core/image.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -25,7 +26,7 @@ struct ResponseCheck {
 /// images: 1 channel, after `response` was applied to make them linear, in [0, 1]; mask: non-zero = object, empty =
 /// everything.
 ResponseCheck check_response(const std::vector<Image<float>>& images, const std::vector<double>& angles_rad,
-                             const Mask& mask, const std::string& response, const Context& context);
+                             const Mask& mask, const Response& response, const Context& context);
 
 /// Combines two such checks: with the angles as read, which may be wrong, and with angles fitted to the images, which
 /// may compensate a response curve. If their severities differ, the finding is that linearity could not be checked.

@@ -38,7 +38,8 @@ void ModelChoice::label(const RefineInput& input) {
   if (input.reflection != ReflectionChoice::labels) return;
   require_labels(input.labels, image.camera.size);
   for_each_pixel(input.labels.size(), [&](int u, int v) {
-    if (input.labels(u, v) != 0) image.kind(u, v) = static_cast<Reflection>(input.labels(u, v));
+    const auto label = static_cast<Reflection>(input.labels(u, v));
+    if (label != Reflection::outside) image.kind(u, v) = label;  // elsewhere as decided from the data
   });
 }
 

@@ -19,8 +19,6 @@ constexpr double distinct_angle_deg = 1e-3;
 // Angles that all lie within this on the circle of 180° cannot be meant: one turn in radians is less.
 constexpr double least_sector_deg = 6.3;
 
-constexpr std::array<std::string_view, 4> bayer_patterns{"RGGB", "BGGR", "GRBG", "GBRG"};
-
 std::array<double, 4> read_mosaic(const TomlTable& table) {
   const auto rows = pairs_of(*table.find("mosaic"));
   if (!rows || rows->size() != 2)
@@ -119,21 +117,16 @@ std::optional<std::vector<double>> read_angles(const TomlTable& table,
   return angles;
 }
 
-/// "linear", "srgb", "gamma:2.2", or the absolute path of a lookup table.
-std::string read_response(const TomlTable& table) {
-  const std::string value = table.text("response").value_or("linear");
-  constexpr std::string_view gamma = "gamma:";
-  if (value == "linear" || value == "srgb") return value;
-  if (value.starts_with(gamma)) {
-    const auto exponent = number_of<double>(std::string_view(value).substr(gamma.size()));
-    if (exponent && *exponent >= 0.1 && *exponent <= 10) return value;
-    throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
-  }
-  const auto path = table.resolve("response", value);
+/// The response, with the absolute path of a lookup table.
+Response read_response(const TomlTable& table) {
+  const auto response = Response::of(table.text("response").value_or("linear"));
+  if (!response) throw table.wrong("response", "\"gamma:\" and a number from 0.1 to 10");
+  if (!response->table()) return *response;
+  const auto path = table.resolve("response", response->text());
   if (!std::filesystem::exists(path))
     throw table.wrong("response", "\"linear\", \"srgb\", \"gamma:2.2\" or the file of a lookup table");
   require_file(path, table.where("response"));
-  return std::filesystem::absolute(path).string();
+  return *Response::of(std::filesystem::absolute(path).string());
 }
 
 /// Exposure times, one per image. Every angle must have the same set of times, so that all merged images have equal
@@ -191,7 +184,7 @@ PolarizedSpec read_polarized(const TomlTable& document, const GivenInMemory* giv
     }
     refuse(table, {"angles_deg", "angle_pattern"}, "cannot be given together with `mosaic`, which states the angles");
     require_usable_angles(table, "mosaic", {spec.mosaic->begin(), spec.mosaic->end()});
-    spec.mosaic_colors = table.text_among("mosaic_colors", bayer_patterns);
+    spec.mosaic_colors = table.choice<BayerPattern>("mosaic_colors");
     spec.angles_deg = std::vector<double>(spec.mosaic->begin(), spec.mosaic->end());
   } else {
     refuse(table, {"mosaic_colors"}, "is of a `mosaic`, which is not given");

@@ -29,7 +29,7 @@ ScaleBar read_scale_bar(const TomlTable& table, const std::optional<PhotosSpec>&
       throw table.wrong("targets", "two different target numbers");
     }
     bar.targets = std::array{static_cast<int>(targets[0]), static_cast<int>(targets[1])};
-    bar.targets_dictionary = table.required(table.text("targets_dictionary"), "targets_dictionary",
+    bar.targets_dictionary = table.required(table.choice<TargetDictionary>("targets_dictionary"), "targets_dictionary",
                                             "the targets' dictionary, such as \"aruco_4x4_50\"");
   } else {
     refuse(table, {"targets_dictionary"}, "needs `targets`");

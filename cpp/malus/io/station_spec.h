@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -42,6 +43,41 @@ constexpr auto names_of(ColorChannel) {
   return std::to_array<std::string_view>({"luminance", "red", "green", "blue", "mean"});
 }
 
+/// How the numbers of an image file depend on the light; by default linearly.
+class Response {
+ public:
+  enum class Kind { linear, srgb, gamma, table };
+
+  Response() = default;
+  /// "linear", "srgb", "gamma:X", or else the path of a lookup table. Nothing if X is no number from 0.1 to 10.
+  static std::optional<Response> of(const std::string& text);
+
+  Kind kind() const { return kind_; }
+  /// gamma: linear = encoded ^ exponent.
+  double exponent() const { return exponent_; }
+  /// As stated; of a lookup table the path, which is absolute once loaded.
+  const std::string& text() const { return text_; }
+  /// Whether the numbers are linear already.
+  bool is_identity() const { return kind_ == Kind::linear || (kind_ == Kind::gamma && exponent_ == 1); }
+  /// The file of a lookup table; nothing for another kind, even if a file of its name lies in the current folder.
+  std::optional<std::filesystem::path> table() const {
+    return kind_ == Kind::table ? std::optional<std::filesystem::path>(text_) : std::nullopt;
+  }
+
+ private:
+  Response(Kind kind, double exponent, std::string text) : kind_(kind), exponent_(exponent), text_(std::move(text)) {}
+
+  Kind kind_ = Kind::linear;
+  double exponent_ = 1;
+  std::string text_ = "linear";
+};
+
+/// Color filters over the 2 × 2 cells of a color camera's mosaic, by rows.
+enum class BayerPattern { rggb, bggr, grbg, gbrg };
+constexpr auto names_of(BayerPattern) {
+  return std::to_array<std::string_view>({"RGGB", "BGGR", "GRBG", "GBRG"});
+}
+
 /// [polarized]: the images taken through the polarizer, and how to read them. Paths are absolute once loaded.
 struct PolarizedSpec {
   std::vector<std::filesystem::path> images;      ///< one per polarizer position, or one mosaic (see `mosaic`)
@@ -50,14 +86,14 @@ struct PolarizedSpec {
   double angle_zero_deg = 0;  ///< what the scale reads when the axis is along image +x
   std::optional<std::array<double, 4>>
       mosaic;  ///< angles of the 2 × 2 cell: top left, top right, bottom left, bottom right
-  std::optional<std::string> mosaic_colors;  ///< of a color camera's mosaic: Bayer pattern of the cells, "RGGB"
+  std::optional<BayerPattern> mosaic_colors;  ///< of a color camera's mosaic
   /// Exposure times [s] of the images if they differ on purpose; images of one angle are merged. Nothing = all equal.
   std::optional<std::vector<double>> exposure_s;
   ColorChannel channel = ColorChannel::luminance;
   std::optional<std::array<double, 3>> channel_weights;  ///< weighted sum of R, G, B instead of `channel`
-  std::string response = "linear";                       ///< "linear" | "srgb" | "gamma:2.2" | path of a lookup table
-  std::optional<double> white_level;                     ///< DN; nothing = from the file's bit depth
-  double black_level = 0;                                ///< DN
+  Response response{};
+  std::optional<double> white_level;  ///< DN; nothing = from the file's bit depth
+  double black_level = 0;             ///< DN
   int frames_averaged = 1;
   std::optional<double> full_well_e;  ///< electrons at white level
   std::optional<double> read_noise_e;
@@ -144,13 +180,45 @@ struct ImageMark {
   MALUS_FIELDS(image, x, y)
 };
 
+/// Families of square coded targets, in OpenCV's order.
+enum class TargetDictionary {
+  aruco_4x4_50,
+  aruco_4x4_100,
+  aruco_4x4_250,
+  aruco_4x4_1000,
+  aruco_5x5_50,
+  aruco_5x5_100,
+  aruco_5x5_250,
+  aruco_5x5_1000,
+  aruco_6x6_50,
+  aruco_6x6_100,
+  aruco_6x6_250,
+  aruco_6x6_1000,
+  aruco_7x7_50,
+  aruco_7x7_100,
+  aruco_7x7_250,
+  aruco_7x7_1000,
+  aruco_original,
+  apriltag_16h5,
+  apriltag_25h9,
+  apriltag_36h10,
+  apriltag_36h11
+};
+constexpr auto names_of(TargetDictionary) {
+  return std::to_array<std::string_view>(
+      {"aruco_4x4_50",  "aruco_4x4_100",  "aruco_4x4_250", "aruco_4x4_1000", "aruco_5x5_50",   "aruco_5x5_100",
+       "aruco_5x5_250", "aruco_5x5_1000", "aruco_6x6_50",  "aruco_6x6_100",  "aruco_6x6_250",  "aruco_6x6_1000",
+       "aruco_7x7_50",  "aruco_7x7_100",  "aruco_7x7_250", "aruco_7x7_1000", "aruco_original", "apriltag_16h5",
+       "apriltag_25h9", "apriltag_36h10", "apriltag_36h11"});
+}
+
 /// [[scale]]: a known distance between two marked points, two coded targets, or two points of a given prior's frame.
 struct ScaleBar {
   double distance = 0;
   std::vector<ImageMark> a, b;
   std::optional<std::array<int, 2>> targets;
-  std::string targets_dictionary;
-  std::optional<std::array<double, 3>> a_xyz, b_xyz;  ///< without [photos]; both or none
+  std::optional<TargetDictionary> targets_dictionary;  ///< set with `targets`
+  std::optional<std::array<double, 3>> a_xyz, b_xyz;   ///< without [photos]; both or none
   bool check = false;
 
   MALUS_FIELDS(distance, a, b, targets, targets_dictionary, a_xyz, b_xyz, check)

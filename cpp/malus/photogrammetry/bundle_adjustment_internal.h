@@ -1,8 +1,10 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstddef>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "malus/core/camera.h"
@@ -15,6 +17,9 @@ namespace malus {
 
 /// Which parameters of a lens are adjusted.
 enum class LensFreedom { fixed, without_principal_point, all };
+constexpr auto names_of(LensFreedom) {
+  return std::to_array<std::string_view>({"fixed", "without_principal_point", "all"});
+}
 
 /// A lens that one or more views share.
 struct BundleLens {

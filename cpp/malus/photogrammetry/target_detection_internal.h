@@ -2,10 +2,10 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <string>
 #include <vector>
 
 #include "malus/core/image.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -17,8 +17,7 @@ struct CodedTarget {
 };
 
 /// Square coded targets (ArUco, AprilTag) of a dictionary in an 8-bit image, by OpenCV, with corners refined to
-/// sub-pixel. Dictionaries: "aruco_4x4_50" … "aruco_7x7_1000", "aruco_original", "apriltag_16h5", "apriltag_25h9",
-/// "apriltag_36h10", "apriltag_36h11". Throws an input error for an unknown dictionary, which names the nearest one.
-std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, const std::string& dictionary);
+/// sub-pixel.
+std::vector<CodedTarget> detect_targets(const Image<std::uint8_t>& image, TargetDictionary dictionary);
 
 }  // namespace malus

@@ -16,6 +16,7 @@
 
 #include "malus/core/camera.h"
 #include "malus/core/fields.h"
+#include "malus/io/station_spec.h"
 
 namespace malus {
 
@@ -58,6 +59,8 @@ Json fields_to_json(const T& value) {
     return std::string(enum_name(value));
   } else if constexpr (std::same_as<T, LensModel>) {
     return std::string(to_string(value));
+  } else if constexpr (std::same_as<T, Response>) {
+    return value.text();
   } else if constexpr (std::same_as<T, std::filesystem::path>) {
     return value.string();
   } else if constexpr (HasFields<const T>) {

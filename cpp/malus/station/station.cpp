@@ -37,7 +37,7 @@ std::vector<std::filesystem::path> files_of(const StationFile& file) {
   const auto add = [&files](const std::filesystem::path& path) { files.push_back(path); };
   if (!file.path.empty()) add(file.path);
   if (file.polarized.mask) add(*file.polarized.mask);
-  if (std::filesystem::is_regular_file(file.polarized.response)) add(file.polarized.response);
+  if (const auto table = file.polarized.response.table()) add(*table);
   if (file.optics.label_image) add(*file.optics.label_image);
   for (const auto& path : file.camera_files) add(path);
   const auto add_prior = [&add](const auto& source) {

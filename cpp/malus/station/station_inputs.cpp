@@ -87,7 +87,7 @@ Json StationInputs::polarized() {
   files(station_.developed_from);
   for (std::size_t k = 0; k < station_.images.size(); ++k)
     json["images"].push_back(array("images[" + std::to_string(k) + "]", station_.images[k]));
-  if (fs::is_regular_file(spec.response)) json["response"] = file(spec.response);
+  if (const auto table = spec.response.table()) json["response"] = file(*table);
   if (station_.whole_numbers) json["whole_numbers"] = true;
   if (spec.mask) json["mask"] = file(*spec.mask);
   if (station_.mask) json["mask"] = array("mask", *station_.mask);

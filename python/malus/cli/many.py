@@ -17,6 +17,7 @@ from malus.cli.settings import options_of
 from malus.object import Object, run_object
 from malus.object.doubts import doubted_stations
 from malus.object.figures import object_summary
+from malus.photogrammetry.diagnosis import listed
 
 #: Assumed seconds per station of a campaign before any is done, and per station of an object for the object's surface.
 _A_STATION_S = 60.0
@@ -27,7 +28,13 @@ def run_batch(args: argparse.Namespace) -> None:
     campaign = Campaign.load(args.campaign)
     options_of(args, campaign.options)
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
+    ran: list[str] = []
     with view_of(args) as view:
+
+        def ended(count: int, total: int, outcome: batch.Outcome) -> None:
+            ran.append(outcome["station"])
+            view.progress("batch", count / total, f"{outcome['station']}: {outcome['status']}")
+
         view.expect([("batch", _A_STATION_S * len(campaign.stations))], guessed=True)
         view.progress("batch", 0.0, f"{len(campaign.stations)} stations")
         outcomes = batch.run_campaign(
@@ -37,9 +44,7 @@ def run_batch(args: argparse.Namespace) -> None:
             threads=args.threads,
             scheduler=args.scheduler,
             shard=shard,
-            progress=lambda done, total, outcome: view.progress(
-                "batch", done / total, f"{outcome['station']}: {outcome['status']}"
-            ),
+            progress=ended,
         )
         done = [outcome for outcome in outcomes if outcome["status"] == "done"]
         view.progress("batch", 1.0, f"{len(done)} of {len(outcomes)} done")
@@ -48,7 +53,7 @@ def run_batch(args: argparse.Namespace) -> None:
         told = ", ".join(f"{levels[level]} {level}" for level in ("high", "partial", "low") if levels[level])
         print_lines(
             f"{campaign.name}: {len(done)} of {len(outcomes)} stations done{f'; confidence: {told}' if told else ''}",
-            *_kept_words(outcomes),
+            *_words_on_runs(outcomes, ran),
             f"  page: {args.output / 'index.html'}",
         )
     failed = batch.failure(outcomes)
@@ -61,6 +66,7 @@ def run_object_file(args: argparse.Namespace) -> None:
     thing = Object.load(args.object)
     options_of(args, thing.campaign.options)
     shard = batch.parse_shard(args.shard) if args.shard else batch.shard_of_environment()
+    ran: list[str] = []
     with view_of(args) as view:
         stations = _A_STATION_S * len(thing.campaign.stations)
         steps = [*(["photos"] if thing.shared else []), "stations", "object"]
@@ -74,6 +80,7 @@ def run_object_file(args: argparse.Namespace) -> None:
             scheduler=args.scheduler,
             shard=shard,
             progress=view.progress,
+            ended=lambda outcome: ran.append(outcome["station"]),
         )
         pending = sum(outcome["status"] == "pending" for outcome in outcomes)
         folder = args.output / "object"
@@ -86,24 +93,24 @@ def run_object_file(args: argparse.Namespace) -> None:
         if not (args.json or args.quiet):
             print(f"{pending} of {len(outcomes)} stations are not run yet; the surface is made when all are")
     elif not args.json:
-        _print_object(folder, quality, outcomes, args.quiet)
+        _print_object(folder, quality, _words_on_runs(outcomes, ran), args.quiet)
     if failed is not None:
         raise failed
 
 
-def _kept_words(outcomes: Sequence[batch.Outcome]) -> list[str]:
-    """A line on the stations that this run has run, if others were kept."""
-    kept = sum(outcome["kept"] for outcome in outcomes)
-    ran = [outcome["station"] for outcome in outcomes if not outcome["kept"] and outcome["status"] != "pending"]
-    return [f"  run now: {', '.join(ran) or 'none'}; kept from an earlier run: {kept}"] if kept else []
+def _words_on_runs(outcomes: Sequence[batch.Outcome], ran: Sequence[str]) -> list[str]:
+    """A line on the stations that this run has run, if another one has run others: an earlier one, or one of other shards."""
+    others = sum(outcome["status"] != "pending" and outcome["station"] not in ran for outcome in outcomes)
+    names = [outcome["station"] for outcome in outcomes if outcome["station"] in ran]
+    return [f"  run now: {listed(names) or 'none'}; run before or elsewhere: {others}"] if others else []
 
 
-def _print_object(folder: Path, quality: Mapping[str, Any], outcomes: Sequence[batch.Outcome], quiet: bool) -> None:
+def _print_object(folder: Path, quality: Mapping[str, Any], on_runs: Sequence[str], quiet: bool) -> None:
     if quiet:  # warnings are printed even so
         for line in _doubts_of_object(quality, "warning: "):
             print(line, file=sys.stderr)
         return
-    print_lines(*object_summary(quality), *_kept_words(outcomes), f"  report: malus view {folder}")
+    print_lines(*object_summary(quality), *on_runs, f"  report: malus view {folder}")
 
 
 def _figures_of_object(folder: Path) -> dict[str, Any]:

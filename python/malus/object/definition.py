@@ -21,6 +21,7 @@ from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.photos import photos_of
 from malus.photogrammetry.program import Colmap
 from malus.reconstruction import check
+from malus.threads import ALL_CORES
 
 _KEYS = {
     "": ("object", "photos", "scale", "control", "options"),
@@ -174,7 +175,7 @@ class Object:
             Colmap(1, self.campaign.options.photos.backend)
         self.read_reference()
 
-    def check(self, options: Options | None = None, *, threads: int = 1) -> list[dict[str, Any]]:
+    def check(self, options: Options | None = None, *, threads: int = ALL_CORES) -> list[dict[str, Any]]:
         """The result of `malus.check` for each station, with `station`, its name in folders and tables; the first one includes the
         processing of the shared photos.
 
@@ -195,7 +196,7 @@ class Object:
         if self.shared is not None:
             description = {**self.campaign.station(self.campaign.stations[0]).describe(), **self.shared}
             photos = photogrammetry.plan(
-                description, settings, threads, 1e-6 * plans[0]["width"] * plans[0]["height"],
+                description, 1e-6 * plans[0]["width"] * plans[0]["height"], options=settings, threads=threads,
                 silhouettes=self._outlines_of_others(),
             )  # fmt: skip
             plans[0]["does"][1:1] = photos.photos

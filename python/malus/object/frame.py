@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from malus._files import new_folder
+from malus._files import new_folder, sha256_of
+from malus.camera import Camera
 from malus.errors import DataError, MalusError
 from malus.object.definition import Object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
-from malus.photogrammetry.front_end import camera_of
 from malus.photogrammetry.photos import photos_of, require_usable_masks
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
@@ -27,6 +29,16 @@ class Frame:
     cameras: Path
     figures: dict[str, Any]
     warnings: list[str]
+
+
+def key_of_photos(shared: Mapping[str, Any]) -> str:
+    """Hash of an object's photos and their masks, and of what is said of them. Raises InputError for photos that cannot be read."""
+    said = [shared["photos"]["camera"], shared["scale"], shared["control"]]
+    files = [
+        [photo.name, sha256_of(photo.path), None if photo.mask is None else sha256_of(photo.mask)]
+        for photo in photos_of(shared["photos"])
+    ]
+    return hashlib.sha256(json.dumps([said, files]).encode()).hexdigest()
 
 
 def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, float, str], None]) -> Frame:
@@ -52,7 +64,7 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
             try:
                 scene, mask = unpolarized_scene(station, options, begun, threads)
                 said = station.describe()
-                views[task.identifier] = (camera_of(said["camera"]), scene)
+                views[task.identifier] = (Camera.from_description(said["camera"]), scene)
                 if said["mask"] is not None:
                     outlines[task.identifier] = Outline(mask, Path(said["mask"]))
                 _begin(task.workspace, begun)

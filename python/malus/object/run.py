@@ -27,7 +27,7 @@ from malus.object.comparison import compared_with_reference, write_comparison
 from malus.object.definition import Object
 from malus.object.doubts import doubts_of_stations, left_out, warnings_of
 from malus.object.figures import mesh_figures, station_figures
-from malus.object.frame import Frame, find_frame, with_warnings
+from malus.object.frame import Frame, find_frame, key_of_photos, with_warnings
 from malus.object.glb import write_levels
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
@@ -54,33 +54,45 @@ def run_object(
     scheduler: str | None = None,
     shard: tuple[int, int] | None = None,
     progress: Callable[[str, float, str], None] | None = None,
+    ended: Callable[[Outcome], None] | None = None,
 ) -> list[Outcome]:
     """Run the stations of an object that are not done, and join all stations into one surface.
 
     OUTPUT gets the files of malus.batch.run_campaign, photogrammetry/ if stations are found among photos, and object/: mesh.ply (full
     mesh, with sigma), mesh.glb (textured), albedo.glb, reference/, agreement/NAME.png, quality.json, report/index.html. jobs, threads,
     scheduler and shard: as in malus.batch.run_campaign. The surface is made from the stations that are done, once no station is pending.
-    It is not made again while these stations and the object file are unchanged. progress: step, share done, message. Returns the
-    outcomes of the stations.
+    It is not made again while these stations and the object file are unchanged. progress: step, share done, message. ended: gets the
+    outcome of each station that this run has run. Returns the outcomes of all stations.
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
-    earlier surface is removed if no station is done, if the photos give no cameras (DataError) or cannot be used (InputError), or if
-    making the new surface fails. The warnings before an error are its notes.
+    earlier surface is removed if no station is done, if the photos give no cameras (DataError), or if making the new surface fails. If
+    another error ends the search for the cameras, it stays if it is of the same photos, masks, distances and points. The warnings
+    before an error are its notes.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
     folder = Path(output) / "object"
+    frame, photos = None, None
     try:
-        frame = None if thing.shared is None else find_frame(thing, Path(output), threads or ALL_CORES, say)
-    except (DataError, InputError):
-        # The photos as they are now tell of no cameras: an earlier surface is of others. After any other error, such as too little
-        # memory, it may be right still. A disk that is not there ends Object.load.
-        _discard(folder)
+        if thing.shared is not None:
+            photos = key_of_photos(thing.shared)
+            frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
+    except MalusError as error:
+        # An earlier surface would look like one of the photos as they are now. It stays if it is: a full disk or a COLMAP that is not
+        # there say nothing against it. A disk with photos that is not there ends Object.load.
+        of = (read_record(folder / "quality.json") or {}).get("photos_key")
+        if isinstance(error, DataError) or photos is None or of != photos:
+            _discard(folder)
         raise
+
+    def station_ended(count: int, total: int, outcome: Outcome) -> None:
+        say("stations", count / total, f"{outcome['station']}: {outcome['status']}")
+        if ended is not None:
+            ended(outcome)
+
     outcomes = batch.run_campaign(
         thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
-        cameras=None if frame is None else frame.cameras,
-        progress=lambda done, total, outcome: say("stations", done / total, f"{outcome['station']}: {outcome['status']}"),
+        cameras=None if frame is None else frame.cameras, progress=station_ended,
     )  # fmt: skip
     # Stations of other shards are pending; the shard that ends last makes the surface.
     if any(outcome["status"] == "pending" for outcome in outcomes):
@@ -98,14 +110,9 @@ def run_object(
             _clear(folder)
             try:
                 _fuse(
-                    thing,
-                    outcomes,
-                    frame,
-                    folder,
-                    key,
-                    threads or ALL_CORES,
+                    thing, outcomes, frame, folder, key, photos, threads or ALL_CORES,
                     lambda share, message: say("object", share, message),
-                )
+                )  # fmt: skip
             except BaseException as error:
                 # A mesh without its page, or with that of another surface, would look finished.
                 _clear(folder)
@@ -162,6 +169,7 @@ def _fuse(
     frame: Frame | None,
     folder: Path,
     key: str,
+    photos: str | None,
     threads: int,
     say: Progress,
 ) -> None:
@@ -219,7 +227,7 @@ def _fuse(
         stations = station_figures(shown, views, agreements, coverage, gsd)
         found = [] if frame is None else frame.warnings
         quality = {
-            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "gsd": gsd, "stations": stations,
+            "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "photos_key": photos, "gsd": gsd, "stations": stations,
             "points": {"stations": int((everything.stations > 0).sum()), "stereo": int((everything.stations == 0).sum())},
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
@@ -245,7 +253,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        if after | {"kept": before["kept"]} != before:
+        if after != before:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )

@@ -11,6 +11,11 @@ from malus.photogrammetry.database import connected_groups
 #: Receives a level (info, warning) and a message.
 Log = Callable[[str, str], None]
 
+
+def silent(*_: object) -> None:
+    """The default for what receives progress or messages."""
+
+
 #: Fewer features than this do not link a photo to others reliably.
 FEW_FEATURES = 200
 #: With a smaller relief (spread of the points across their plane over the spread along it) the focal length cannot be determined.

@@ -22,7 +22,7 @@ from malus.options import Options
 from malus.photogrammetry import diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
-from malus.photogrammetry.diagnosis import Log
+from malus.photogrammetry.diagnosis import Log, silent
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
@@ -40,6 +40,7 @@ from malus.photogrammetry.station_pose import (
     station_image,
 )
 from malus.photogrammetry.window_matching import match_windows
+from malus.threads import ALL_CORES
 
 Report = Callable[[float, str], None]
 
@@ -72,35 +73,28 @@ class Outline:
     """The mask of the images as taken."""
 
 
-def camera_of(description: Mapping[str, Any]) -> Camera:
-    """The camera of a description by `Station.describe`."""
-    return Camera(
-        description["model"], description["width"], description["height"], description["params"],
-        description.get("rotation", np.eye(3)), description.get("translation", np.zeros(3)),
-    )  # fmt: skip
-
-
 def find_cameras(
     station: Mapping[str, Any],
     unpolarized: NDArray[np.float32],
     folder: Path,
     *,
-    options: Options,
-    threads: int,
-    progress: Report,
-    log: Log,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+    progress: Report = silent,
+    log: Log = silent,
 ) -> StationCameras:
     """Cameras of a station's photos and of the station itself.
 
     station: as `Station.describe` returns it. unpolarized: H×W intensity of the station's view, linear, undistorted if its
-    lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept.
+    lens is known. folder: where COLMAP's files, logs and marks of finished stages are kept. progress: share done, message. log: level
+    (info, warning), message.
 
     Raises InputError for wrong files, DataError with advice on what to photograph if the photos do not suffice, and
     ExternalError if COLMAP is missing or fails.
     """
     bench = _bench(folder, options, threads, progress, log)
     photos, solved = _solved(bench, station)
-    lens = lens_of_raster(camera_of(station["camera"])) if "camera" in station else None
+    lens = lens_of_raster(Camera.from_description(station["camera"])) if "camera" in station else None
     shared = None if lens is not None else _photo_of_same_camera(station, photos, solved.model, unpolarized.shape, log)
     view = StationView(unpolarized, lens, shared)
     placed, model, figures = _placed_and_scaled(bench, photos, solved, {STATION_IMAGE: view}, station)
@@ -123,10 +117,10 @@ def find_object_cameras(
     folder: Path,
     *,
     outlines: Mapping[str, Outline] | None = None,
-    options: Options,
-    threads: int,
-    progress: Report,
-    log: Log,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+    progress: Report = silent,
+    log: Log = silent,
 ) -> dict[str, StationCameras]:
     """Cameras of an object's photos and of its stations in one model, by the stations' names.
 
@@ -180,8 +174,9 @@ def find_object_cameras(
 
 
 def _bench(
-    folder: Path, options: Options, threads: int, progress: Report, log: Log, *, inside_masks: bool = False
+    folder: Path, given: Options | None, threads: int, progress: Report, log: Log, *, inside_masks: bool = False
 ) -> Bench:
+    options = given or Options()
     folder.mkdir(parents=True, exist_ok=True)
     colmap = Colmap(threads, options.photos.backend)
     journal = Journal(folder, log, colmap)
@@ -266,7 +261,7 @@ def known_lens(said: Mapping[str, Any] | None, log: Log) -> Camera | None:
     """The photos' calibrated lens in one of COLMAP's models."""
     if said is None:
         return None
-    values, rms_px = _core.as_colmap_camera(camera_of(said).values())
+    values, rms_px = _core.as_colmap_camera(Camera.from_description(said).values())
     if rms_px > 0.05:
         log(
             "warning",

@@ -262,11 +262,13 @@ def to_bytes(intensity: NDArray[np.float32], *, gamma: float) -> NDArray[np.uint
 
 
 def write_proxy(photo: Photo, target: Path) -> None:
-    """Write a photo's 8-bit copy, as PNG whatever the name of `target`. Raises InputError for a damaged file."""
+    """Write a photo's 8-bit copy, as PNG whatever the name of `target`. Raises InputError for a damaged file or a path that
+    cannot be used, ResourceError on a full disk.
+    """
     pixels, full_scale = _core.read_image_dn(str(photo.path))
     gray = pixels if pixels.ndim == 2 else pixels.mean(axis=2, dtype=np.float32)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         _core.write_png(str(target), to_bytes(gray, gamma=1.0 if full_scale == 255 else 2.2))
     except MalusError as error:
-        raise InputError(f"{photo.path}: no copy could be written for COLMAP ({error})") from None
+        raise type(error)(f"{photo.path}: no copy could be written for COLMAP ({error})") from None

@@ -18,6 +18,7 @@ from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera
 from malus.photogrammetry.photos import require_usable_masks
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import require_scale
+from malus.threads import ALL_CORES
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,10 @@ def _scale_line(station: Mapping[str, Any]) -> str:
 
 def plan(
     station: Mapping[str, Any],
-    options: Options,
-    threads: int,
     station_mpx: float,
     *,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
     silhouettes: int = 0,
     read_masks: bool = True,
 ) -> Plan:
@@ -66,6 +67,7 @@ def plan(
     Raises the errors that a run would raise before it starts: InputError for unreadable or wrong photos, DataError for too few,
     ExternalError when COLMAP is missing.
     """
+    options = options or Options()
     said = station["photos"]
     warnings: list[str] = []
     photos = enough_photos_of(said, lambda _, message: warnings.append(message))

@@ -35,7 +35,7 @@ class _Ends:
 
 
 def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
-    """Coded targets of a dictionary in every photo. Raises InputError for an unknown dictionary."""
+    """Coded targets of a dictionary in every photo."""
     targets: Targets = {}
     for photo in photos:
         image: NDArray[np.uint8] = to_bytes(read_gray(photo.path), gamma=1.0)
@@ -51,16 +51,10 @@ def find_targets(photos: Sequence[Photo], dictionary: str) -> Targets:
 def require_scale(said: Mapping[str, Any], photos: Sequence[str]) -> None:
     """Check that the known distances of `Station.describe` can give a size to these photos, before hours go into matching the photos.
 
-    Raises InputError for an unknown dictionary of targets, and if no distance that is not held out can be measured: marks in files
-    that are not among the photos, such as excluded ones, do not count.
+    Raises InputError if no distance that is not held out can be measured: marks in files that are not among the photos, such as excluded
+    ones, do not count.
     """
     bars, known = said["scale"], set(photos)
-    for number, bar in enumerate(bars, 1):
-        if bar["targets"]:
-            try:
-                _core.detect_targets(np.zeros((16, 16), np.uint8), bar["targets_dictionary"])
-            except InputError as error:
-                raise InputError(f"{said['path']}: [[scale]] {number}: {error}") from None
     if not bars or any(bar["targets"] or _is_marked(bar, known) for bar in bars if not bar["check"]):
         return
     others = sorted({mark["image"] for bar in bars for mark in [*bar["a"], *bar["b"]]} - known)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 from malus._files import read_record, sha256_of, write_record
 from malus.camera import Camera
@@ -20,7 +19,7 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
     content = {
         "model": str(model.resolve()),
         "sha256": _digests(model),
-        "station": _described(cameras.station),
+        "station": cameras.station.description(),
         "photos": [
             {
                 "name": photo.name,
@@ -28,12 +27,12 @@ def save_cameras(file: Path, cameras: StationCameras, model: Path) -> None:
                 "sha256": sha256_of(photo.path),
                 "mask": None if photo.mask is None else str(photo.mask.resolve()),
                 "mask_sha256": None if photo.mask is None else sha256_of(photo.mask),
-                "camera": _described(camera),
+                "camera": camera.description(),
             }
             for photo, camera in cameras.photos
         ],
         "silhouettes": [
-            {"name": name, "path": str(mask.resolve()), "sha256": sha256_of(mask), "camera": _described(camera)}
+            {"name": name, "path": str(mask.resolve()), "sha256": sha256_of(mask), "camera": camera.description()}
             for name, mask, camera in cameras.silhouettes
         ],
         "figures": cameras.figures,
@@ -74,19 +73,22 @@ def load_cameras(file: Path) -> StationCameras:
         _require_unchanged(said["path"], said["sha256"])
         if said["mask"] is not None:
             _require_unchanged(said["mask"], said["mask_sha256"])
-        camera = Camera(**said["camera"])
+        camera = Camera.from_description(said["camera"])
         mask = None if said["mask"] is None else Path(said["mask"])
         photos.append((Photo(said["name"], Path(said["path"]), camera.width, camera.height, mask=mask), camera))
     for said in content["silhouettes"]:
         _require_unchanged(said["path"], said["sha256"])
     return StationCameras(
-        station=Camera(**content["station"]),
+        station=Camera.from_description(content["station"]),
         photos=photos,
         model=SparseModel.read(model),
         figures=content["figures"],
         times=content["times"],
         warnings=content["warnings"],
-        silhouettes=[(said["name"], Path(said["path"]), Camera(**said["camera"])) for said in content["silhouettes"]],
+        silhouettes=[
+            (said["name"], Path(said["path"]), Camera.from_description(said["camera"]))
+            for said in content["silhouettes"]
+        ],
     )
 
 
@@ -97,11 +99,3 @@ def _require_unchanged(path: str, digest: str) -> None:
 
 def _digests(model: Path) -> list[str]:
     return [sha256_of(path) for path in sorted(model.iterdir())]
-
-
-def _described(camera: Camera) -> dict[str, Any]:
-    model, width, height, params, rotation, translation = camera.values()
-    return {
-        "model": model, "width": width, "height": height, "params": params,
-        "rotation": rotation.tolist(), "translation": translation.tolist(),
-    }  # fmt: skip

@@ -22,10 +22,11 @@ from malus._robust import robust_spread
 from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.options import Options
-from malus.photogrammetry.diagnosis import Log, listed
+from malus.photogrammetry.diagnosis import Log, listed, silent
 from malus.photogrammetry.front_end import Report, StationCameras
 from malus.photogrammetry.journal import Journal, digest
 from malus.photogrammetry.station_pose import lens_of_raster, placed_at
+from malus.threads import ALL_CORES
 
 
 @dataclass(frozen=True)
@@ -355,10 +356,10 @@ def sweep_station(
     mask: NDArray[np.uint8],
     folder: Path,
     *,
-    options: Options,
-    threads: int,
-    progress: Report,
-    log: Log,
+    options: Options | None = None,
+    threads: int = ALL_CORES,
+    progress: Report = silent,
+    log: Log = silent,
     fuse: Callable[[Swept], FusedOnce] | None = None,
     fused_of: Mapping[str, Any] | None = None,
 ) -> Swept:
@@ -371,6 +372,7 @@ def sweep_station(
     back while their inputs are unchanged. Where the sweep finds nothing, the visual hull of the photos' masks, if they
     have any, is the depth.
     """
+    options = options or Options()
     view = placed_at(lens_of_raster(cameras.station), cameras.station)
     journal = Journal(folder, log)
     sweep = _Sweep(cameras, view, unpolarized, mask, options, threads, progress, journal)

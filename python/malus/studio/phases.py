@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 import malus
 from malus import evidence, polarization
 from malus._extra import extra
+from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.overlay import nearest_points
-from malus.photogrammetry.front_end import camera_of
 from malus.reconstruction import prior_upon_image
 from malus.studio.preview import angles_from_x, as_picture, small_images
 
@@ -40,7 +40,7 @@ def compared(station: malus.Station, threads: int) -> dict[str, Any]:
     images = small_images(paths, said["response"], said["exposure_s"])
     state = polarization.decompose(images, angles_from_x(angles, said["angle_direction"], said["angle_zero_deg"]))
     step = image.shape[1] / images[0].shape[1]
-    lens = camera_of(said["camera"])
+    lens = Camera.from_description(said["camera"])
     normals = _normals(points, image.shape, images[0].shape, (step / lens.fx, step / lens.fy))
     normals[_resampled((mask != 0).astype(np.float64), images[0].shape, step) < 1] = np.nan
     found = evidence.check_phase(state, normals, threads=threads)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from malus import evidence, polarization
 from malus.capture import linearize
+from malus.encoding import exponent_of
 from malus.errors import InputError
 from malus.pictures import data_url
 from malus.raster import reduced, step_for
@@ -25,7 +26,7 @@ def decoded(pixels: NDArray[np.float32], response: str) -> NDArray[np.float32]:
     """Linear intensity of encoded pixels in [0, 1]. response: as in the station file, linear, srgb or gamma:G."""
     if response == "linear":
         return pixels
-    if response != "srgb" and not response.startswith("gamma:"):
+    if exponent_of(response) is None:
         raise InputError(f"response = {response!r}, expected linear, srgb or gamma:2.2 for a preview")
     return linearize(pixels, response=response)
 

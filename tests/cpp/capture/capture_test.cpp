@@ -118,7 +118,7 @@ TEST(Capture, mask_and_saturation) {
 
 TEST(Capture, color_is_the_mean_of_the_linear_images) {
   CaptureInput input = aligned_input();
-  input.polarized.response = "gamma:2";
+  input.polarized.response = stated("gamma:2");
   input.load = [](std::size_t k) {
     Image<float> rgb(stone_size, 3);
     for (std::size_t i = 0; i < rgb.count(); ++i) {
@@ -289,7 +289,7 @@ TEST(Capture, a_saturated_sample_of_a_color_mosaic_flags_the_pixels_interpolated
   CaptureInput input = input_of({mosaic}, {});
   input.polarized.angles_deg.reset();
   input.polarized.mosaic = std::array<double, 4>{90, 45, 135, 0};
-  input.polarized.mosaic_colors = "RGGB";
+  input.polarized.mosaic_colors = BayerPattern::rggb;
   const auto flagged = [&](ColorChannel channel) {
     input.polarized.channel = channel;
     const Mask saturated = capture_stack(input, {}, two_threads()).saturated;
@@ -314,10 +314,10 @@ TEST(Noise, of_a_color_mosaic_does_not_include_its_colors) {
   }
   PolarizedSpec spec;
   spec.mosaic = std::array<double, 4>{90, 45, 135, 0};
-  for (const char* const colors : {"RGGB", "GRBG"}) {
+  for (const BayerPattern colors : {BayerPattern::rggb, BayerPattern::grbg}) {
     spec.mosaic_colors = colors;
     const NoiseModel noise = noise_model(spec, {}, {0, 1, 0, 0.995}, std::nullopt, mosaic);
-    EXPECT_NEAR(noise.variance(0.4) / truth.variance(0.4), 1, 0.25) << colors;
+    EXPECT_NEAR(noise.variance(0.4) / truth.variance(0.4), 1, 0.25) << enum_name(colors);
   }
 }
 
@@ -337,7 +337,7 @@ TEST(Noise, quantization_noise_of_encoded_images_grows_with_the_signal) {
   PolarizedSpec spec;
   spec.full_well_e = 1e9;
   spec.read_noise_e = 0;
-  const ResponseCurve curve = response_curve("srgb", "response");
+  const ResponseCurve curve = curve_of("srgb");
   const NoiseModel noise = noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, std::nullopt,
                                        {Image<float>(stone_size), Mask(stone_size)});
   for (const double encoded : {0.2, 0.5, 0.8, 1.0}) {
@@ -353,7 +353,7 @@ TEST(Noise, of_a_sum_of_channels_has_the_quantization_of_the_sum) {
   const std::array<double, 3> mean{1.0 / 3, 1.0 / 3, 1.0 / 3};
   const LinearImage image{Image<float>(stone_size), Mask(stone_size)};
   for (const char* const response : {"linear", "srgb"}) {
-    const ResponseCurve curve = response_curve(response, "response");
+    const ResponseCurve curve = curve_of(response);
     const auto variance = [&](const std::optional<std::array<double, 3>>& weights) {
       return noise_model(spec, curve, Levels{0, 255, 1.0 / 255, 0.995}, weights, image).variance(0.5);
     };
@@ -362,7 +362,7 @@ TEST(Noise, of_a_sum_of_channels_has_the_quantization_of_the_sum) {
 }
 
 TEST(Noise, of_smooth_encoded_images_is_at_least_that_of_their_quantization) {
-  const ResponseCurve curve = response_curve("srgb", "response");
+  const ResponseCurve curve = curve_of("srgb");
   LinearImage ramp{Image<float>({400, 300}), Mask({400, 300})};
   for (int v = 0; v < 300; ++v)
     for (int u = 0; u < 400; ++u)

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <random>
 #include <string>
 
@@ -137,13 +138,13 @@ TEST(Mosaic, texture_causes_less_false_polarization_than_bilinear_interpolation)
 /// Tints by the color filter over each cell, in the mosaic of a color camera.
 constexpr std::array<double, 3> tints{0.5, 1.0, 0.8};
 
-Image<float> color_mosaic(Size size, const std::string& colors) {
+Image<float> color_mosaic(Size size, BayerPattern colors) {
   std::array<Image<float>, 3> planes;
   for (std::size_t c = 0; c < 3; ++c) planes[c] = mosaic_of(size, tints[c]);
   Image<float> mosaic(size);
   for (int v = 0; v < size.height; ++v) {
     for (int u = 0; u < size.width; ++u) {
-      const char letter = colors[static_cast<std::size_t>(2 * (v / 2 % 2) + u / 2 % 2)];
+      const char letter = enum_name(colors)[static_cast<std::size_t>(2 * (v / 2 % 2) + u / 2 % 2)];
       mosaic(u, v) = planes[std::string("RGB").find(letter)](u, v);
     }
   }
@@ -152,7 +153,7 @@ Image<float> color_mosaic(Size size, const std::string& colors) {
 
 TEST(Mosaic, colors_are_separated) {
   const Size size{96, 64};
-  for (const std::string colors : {"RGGB", "BGGR", "GRBG", "GBRG"}) {
+  for (const BayerPattern colors : {BayerPattern::rggb, BayerPattern::bggr, BayerPattern::grbg, BayerPattern::gbrg}) {
     const auto planes = split_colors(color_mosaic(size, colors), colors, "m.png", two_threads());
     for (std::size_t c = 0; c < 3; ++c) {
       const Image<float> truth = mosaic_of(size, tints[c]);
@@ -160,13 +161,13 @@ TEST(Mosaic, colors_are_separated) {
       for (int v = 8; v < size.height - 8; ++v) {
         for (int u = 8; u < size.width - 8; ++u) error += std::abs(planes[c](u, v) - truth(u, v)) / truth(u, v);
       }
-      EXPECT_LT(error / ((size.width - 16) * (size.height - 16)), 0.1) << colors << c;
+      EXPECT_LT(error / ((size.width - 16) * (size.height - 16)), 0.1) << enum_name(colors) << c;
     }
   }
   expect_error(
       ErrorCode::input,
       [&] {
-        split_colors(Image<float>({14, 16}), "RGGB", "m.png", Context{});
+        split_colors(Image<float>({14, 16}), BayerPattern::rggb, "m.png", Context{});
       },
       "multiples of 4");
 }
@@ -174,14 +175,14 @@ TEST(Mosaic, colors_are_separated) {
 TEST(Mosaic, a_color_mosaic_is_split_nearly_as_well_as_a_gray_one) {
   const Size size{160, 120};
   const double gray = polarization_error(demosaic(mosaic_of(size), "m.png", two_threads()).channels);
-  for (const std::string colors : {"RGGB", "GBRG"}) {
+  for (const BayerPattern colors : {BayerPattern::rggb, BayerPattern::gbrg}) {
     const ColorMosaic split = demosaic_color(color_mosaic(size, colors), colors, "m.png", two_threads());
     // Cells of one color are twice as far apart as cells of a mosaic without colors.
-    EXPECT_LT(polarization_error(split.gray.channels), 5 * gray) << colors;
-    EXPECT_LT(polarization_error(split.gray.channels), 0.012) << colors;
+    EXPECT_LT(polarization_error(split.gray.channels), 5 * gray) << enum_name(colors);
+    EXPECT_LT(polarization_error(split.gray.channels), 0.012) << enum_name(colors);
     for (int v = 16; v < size.height - 16; v += 8) {
-      EXPECT_NEAR(split.ratios[0](80, v) / split.ratios[1](80, v), tints[0] / tints[1], 0.02) << colors;
-      EXPECT_NEAR(split.ratios[2](80, v) / split.ratios[1](80, v), tints[2] / tints[1], 0.02) << colors;
+      EXPECT_NEAR(split.ratios[0](80, v) / split.ratios[1](80, v), tints[0] / tints[1], 0.02) << enum_name(colors);
+      EXPECT_NEAR(split.ratios[2](80, v) / split.ratios[1](80, v), tints[2] / tints[1], 0.02) << enum_name(colors);
     }
   }
 }
@@ -204,9 +205,9 @@ TEST(Mosaic, texture_without_polarization_is_smoothed_widely) {
 }
 
 TEST(Mosaic, a_color_station_keeps_its_color) {
-  CaptureInput input = input_of({color_mosaic({96, 64}, "RGGB")}, {});
+  CaptureInput input = input_of({color_mosaic({96, 64}, BayerPattern::rggb)}, {});
   input.polarized.mosaic = cell_deg;
-  input.polarized.mosaic_colors = "RGGB";
+  input.polarized.mosaic_colors = BayerPattern::rggb;
   input.polarized.angles_deg = std::vector<double>(cell_deg.begin(), cell_deg.end());
   const PolarizedStack stack = capture_stack(input, {}, two_threads());
   ASSERT_EQ(stack.images.size(), 4u);
@@ -224,11 +225,11 @@ TEST(Mosaic, a_color_station_keeps_its_color) {
 }
 
 TEST(Mosaic, a_picture_in_color_is_no_mosaic) {
-  const auto expect_refused = [](const std::string& colors) {
+  const auto expect_refused = [](std::optional<BayerPattern> colors) {
     CaptureInput input = input_of({}, {});
     input.names = {"m.png"};
     input.polarized.mosaic = cell_deg;
-    if (!colors.empty()) input.polarized.mosaic_colors = colors;
+    input.polarized.mosaic_colors = colors;
     input.load = [](std::size_t) {
       Image<float> rgb({96, 64}, 3, 0.4f);
       rgb(5, 7, 2) = 0.5f;
@@ -237,8 +238,8 @@ TEST(Mosaic, a_picture_in_color_is_no_mosaic) {
     expect_error(
         ErrorCode::input, [&] { capture_stack(input, {}, Context{}); }, "m.png: is a color image");
   };
-  expect_refused("");
-  expect_refused("RGGB");
+  expect_refused({});
+  expect_refused(BayerPattern::rggb);
 }
 
 /// Phase of the mean Stokes vector of a 100 × 100 px square, in degrees.
@@ -267,7 +268,7 @@ TEST(Mosaic, phases_agree_with_filters_of_known_axis) {
   PolarizedSpec spec;
   spec.images = {path};
   spec.mosaic = std::array<double, 4>{90, 45, 135, 0};
-  spec.response = "gamma:2.2";
+  spec.response = stated("gamma:2.2");
   const PolarizedStack stack = capture_stack(capture_input(spec, std::nullopt), {}, two_threads());
   ASSERT_EQ(stack.images.size(), 4u);
   ASSERT_EQ(stack.images[0].size(), (Size{2448, 2048}));

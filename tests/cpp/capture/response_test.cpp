@@ -34,7 +34,7 @@ LinearImage linear_of(const RawImage& raw, const PolarizedSpec& spec) {
 }
 
 TEST(Response, srgb_is_the_standard_curve) {
-  const ResponseCurve curve = response_curve("srgb", "response");
+  const ResponseCurve curve = curve_of("srgb");
   EXPECT_NEAR(curve.linearize(0.5), 0.21404114, 1e-7);
   EXPECT_NEAR(curve.linearize(0.04), 0.04 / 12.92, 1e-12);
   EXPECT_NEAR(curve.linearize(1), 1, 1e-12);
@@ -42,18 +42,20 @@ TEST(Response, srgb_is_the_standard_curve) {
 
 TEST(Response, gamma_is_a_power) {
   for (const std::string response : {"gamma:2.2", "gamma: 2.2"})
-    EXPECT_NEAR(response_curve(response, "response").linearize(0.5), std::pow(0.5, 2.2), 1e-12);
+    EXPECT_NEAR(curve_of(response).linearize(0.5), std::pow(0.5, 2.2), 1e-12);
 }
 
 TEST(Response, slope_is_the_derivative) {
-  EXPECT_NEAR(response_curve("gamma:2", "response").slope(0.25), 0.5, 1e-9);
-  EXPECT_NEAR(response_curve("linear", "response").slope(0.7), 1, 1e-9);
+  EXPECT_NEAR(curve_of("gamma:2").slope(0.25), 0.5, 1e-9);
+  EXPECT_NEAR(curve_of("linear").slope(0.7), 1, 1e-9);
 }
 
 TEST(Response, unknown_names_are_input_errors) {
-  for (const std::string name : {"log", "gamma:", "gamma:0", "gamma:2x", "/no/such/table.txt"}) {
+  for (const std::string text : {"gamma:", "gamma:0", "gamma:2x", "gamma:nan"})
+    EXPECT_FALSE(Response::of(text)) << text;
+  for (const std::string name : {"log", "/no/such/table.txt"}) {
     expect_error(
-        ErrorCode::input, [&] { response_curve(name, "station.toml: response"); }, "station.toml: response");
+        ErrorCode::input, [&] { response_curve(stated(name), "station.toml: response"); }, "station.toml: response");
   }
 }
 
@@ -69,7 +71,7 @@ TEST(Response, table_in_dn_is_interpolated_and_scaled) {
 
 TEST(Response, the_last_number_of_a_table_is_the_white_level) {
   PolarizedSpec spec;
-  spec.response = table_file("0 0\n100 10\n200 40\n").string();
+  spec.response = stated(table_file("0 0\n100 10\n200 40\n").string());
   const RawImage raw = raw_8bit(1, {150, 200, 255});
   const LinearImage linear = linear_of(raw, spec);
   EXPECT_EQ(linear.saturated(0, 0), 0);
@@ -124,7 +126,7 @@ TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
 
 TEST(Response, every_pixel_value_of_a_file_is_mapped_by_the_curve) {
   for (const std::string response : {"linear", "srgb", "gamma:2.2"}) {
-    const ResponseCurve curve = response_curve(response, "response");
+    const ResponseCurve curve = curve_of(response);
     const Levels levels{3, 250, 1.0 / 247, 0.995};
     std::vector<float> numbers;
     for (int dn = 0; dn < 256; ++dn) numbers.push_back(static_cast<float>(dn));
@@ -183,7 +185,7 @@ TEST(Response, saturation_begins_just_below_white) {
 
 TEST(Response, channels_are_combined_after_linearization) {
   PolarizedSpec spec;
-  spec.response = "gamma:2";
+  spec.response = stated("gamma:2");
   EXPECT_NEAR(linear_of(raw_8bit(3, {102, 51, 204}), spec).intensity(0, 0),
               0.2126 * 0.16 + 0.7152 * 0.04 + 0.0722 * 0.64, 1e-6);
   spec.channel = ColorChannel::blue;
@@ -226,7 +228,7 @@ TEST(Response, bad_channels_and_pixels_are_input_errors) {
 TEST(Linearize, numbers_that_are_not_finite_are_refused_behind_a_table_and_in_color) {
   constexpr auto nan = std::numeric_limits<float>::quiet_NaN();
   PolarizedSpec spec;
-  spec.response = table_file("0 0\n100 10\n200 40\n").string();
+  spec.response = stated(table_file("0 0\n100 10\n200 40\n").string());
   expect_error(
       ErrorCode::input,
       [&] {

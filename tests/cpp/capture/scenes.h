@@ -10,12 +10,23 @@
 #include <vector>
 
 #include "malus/capture/capture_internal.h"
+#include "malus/capture/response_internal.h"
 #include "shared_data.h"
 
 namespace malus {
 
 inline Context two_threads() {
   return {.threads = 2};
+}
+
+/// The response that a text states.
+inline Response stated(const std::string& text) {
+  return Response::of(text).value();
+}
+
+/// The curve of this response.
+inline ResponseCurve curve_of(const std::string& text) {
+  return response_curve(stated(text), "response");
 }
 
 /// Input of a rendered station, with the values of its station file.
@@ -25,7 +36,7 @@ inline CaptureInput rendered_station(const std::string& scene, const std::string
   spec.angles_deg = std::vector<double>{0, 30, 60, 90, 120, 150};
   const bool jpeg = set == "jpeg8";
   if (jpeg) {
-    spec.response = "srgb";
+    spec.response = stated("srgb");
   } else {
     spec.white_level = 16383;
   }

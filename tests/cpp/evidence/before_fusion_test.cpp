@@ -194,7 +194,7 @@ TEST(ContrastCheck, WarnsOfImagesThatAreNotLinear) {
     color.available = true;
     color.at_best = explained;
     color.contrast = contrast;
-    return check_contrast(color, response, known_linear);
+    return check_contrast(color, Response::of(response).value(), known_linear);
   };
   EXPECT_EQ(finding_of(2.2, 0.6, false).severity, Severity::note);
   const Finding encoded = finding_of(1, 0.6, false), decoded = finding_of(4.8, 0.6, false);

@@ -131,21 +131,23 @@ TEST(ImageOrder, ReadingSamplesCanBeCanceled) {
 TEST(ResponseCheck, DistinguishesLinearEncodedAndTwiceDecodedImages) {
   for (const int count : {4, 6}) {
     const std::vector<double> angles = every(180.0 / count, count);
-    const ResponseCheck linear = check_response(images_at(angles), angles, {}, "linear", {});
+    const ResponseCheck linear = check_response(images_at(angles), angles, {}, Response{}, {});
     EXPECT_EQ(linear.finding.severity, Severity::note) << linear.finding.text();
     EXPECT_NEAR(linear.bend, 0, 0.02);
     const auto encoded = images_at(angles, [](double x) { return std::pow(std::max(x, 0.0), 1 / 2.2); });
-    const ResponseCheck bent = check_response(encoded, angles, {}, "linear", {});
+    const ResponseCheck bent = check_response(encoded, angles, {}, Response{}, {});
     EXPECT_EQ(bent.finding.severity, Severity::warning) << bent.bend << " ± " << bent.bend_sigma;
     EXPECT_NE(bent.finding.suggestion.find("srgb"), std::string::npos);
     EXPECT_NEAR(bent.bend, -0.30, 0.06);
     const auto decoded = images_at(angles, [](double x) { return std::pow(std::max(x, 0.0), 2.2); });
-    const ResponseCheck twice = check_response(decoded, angles, {}, "srgb", {});
+    const ResponseCheck twice = check_response(decoded, angles, {}, Response::of("srgb").value(), {});
     EXPECT_EQ(twice.finding.severity, Severity::warning) << twice.bend << " ± " << twice.bend_sigma;
     EXPECT_NEAR(twice.bend, 0.136, 0.04);
-    const ResponseCheck otherwise = check_response(decoded, angles, {}, "linear", {});
+    const ResponseCheck otherwise = check_response(decoded, angles, {}, Response{}, {});
     EXPECT_EQ(otherwise.finding.severity, Severity::note) << "no other response may be suggested: " << otherwise.bend;
     EXPECT_FALSE(says_linear(otherwise.finding));
+    const ResponseCheck by_one = check_response(decoded, angles, {}, Response::of("gamma:1").value(), {});
+    EXPECT_EQ(by_one.finding.severity, Severity::note) << "gamma:1 decodes nothing, either";
   }
 }
 
@@ -168,7 +170,7 @@ TEST(ResponseCheck, SaysThatThreeAnglesCannotBeChecked) {
   for (const double step_deg : {30.0, 45.0, 60.0}) {
     std::vector<double> angles = every(step_deg, 3);
     for (int times = 1; times < 3; ++times) {
-      const ResponseCheck found = check_response(images_at(angles), angles, {}, "linear", {});
+      const ResponseCheck found = check_response(images_at(angles), angles, {}, Response{}, {});
       EXPECT_EQ(found.finding.severity, Severity::note);
       EXPECT_NE(found.finding.message.find("four different angles"), std::string::npos) << found.finding.text();
       EXPECT_FALSE(says_linear(found.finding));

@@ -79,7 +79,8 @@ TEST_F(StationFileTest, ReadsACompleteStation) {
   EXPECT_EQ(*station.polarized.angles_deg, (std::vector<double>{0, 45, 90}));
   EXPECT_EQ(station.polarized.angle_direction, AngleDirection::clockwise);
   EXPECT_EQ(station.polarized.angle_zero_deg, -2.5);
-  EXPECT_EQ(station.polarized.response, "gamma:2.2");
+  EXPECT_EQ(station.polarized.response.text(), "gamma:2.2");
+  EXPECT_EQ(station.polarized.response.exponent(), 2.2);
   EXPECT_EQ(*station.polarized.white_level, 16383);
   EXPECT_EQ(station.polarized.black_level, 64);
   EXPECT_EQ(station.polarized.frames_averaged, 16);
@@ -102,7 +103,8 @@ TEST_F(StationFileTest, ReadsACompleteStation) {
 TEST_F(StationFileTest, DefaultsAreThoseOfTheSpecs) {
   const StationFile station = read({});
   EXPECT_EQ(station.unit, "mm");
-  EXPECT_EQ(station.polarized.response, "linear");
+  EXPECT_EQ(station.polarized.response.text(), "linear");
+  EXPECT_TRUE(station.polarized.response.is_identity());
   EXPECT_FALSE(station.polarized.white_level);
   EXPECT_EQ(station.optics.refractive_index, 1.5);
   EXPECT_EQ(station.optics.reflection, ReflectionChoice::automatic);
@@ -387,6 +389,20 @@ TEST_F(StationFileTest, RawFilesTakePrecedenceAndBringTheirLevels) {
   rejects(sections, "expected one kind");
 }
 
+TEST_F(StationFileTest, AFileCalledAsAResponseIsATableOnlyByItsPath) {
+  folder_.write("linear", "0 0\n1 1\n");
+  folder_.write("gamma:2.2", "0 0\n1 1\n");
+  const auto response_in = [&](const std::string& text) {
+    Sections sections;
+    sections.polarized += "response = \"" + text + "\"\n";
+    return read(sections).polarized.response;
+  };
+  EXPECT_FALSE(response_in("linear").table());
+  EXPECT_FALSE(response_in("gamma:2.2").table());
+  EXPECT_EQ(response_in("./linear").table(), folder_ / "linear");
+  EXPECT_EQ(response_in("./linear").text(), (folder_ / "linear").string());
+}
+
 TEST_F(StationFileTest, ReadsAMosaic) {
   Sections sections;
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135, 0]]\n";
@@ -394,7 +410,7 @@ TEST_F(StationFileTest, ReadsAMosaic) {
   EXPECT_EQ(*station.polarized.mosaic, (std::array<double, 4>{90, 45, 135, 0}));
   const std::string mosaic = sections.polarized;
   sections.polarized = mosaic + "mosaic_colors = \"RGGB\"\n";
-  EXPECT_EQ(read(sections).polarized.mosaic_colors, "RGGB");
+  EXPECT_EQ(read(sections).polarized.mosaic_colors, BayerPattern::rggb);
   sections.polarized = mosaic + "mosaic_colors = \"RGBG\"\n";
   rejects(sections, "mosaic_colors", "\"GBRG\"");
   sections.polarized = "[polarized]\nimages = [\"pol/a_000.png\"]\nmosaic = [[90, 45], [135]]\n";
@@ -568,6 +584,7 @@ TEST_F(StationFileTest, ReadsPhotosAndScale) {
   EXPECT_TRUE(station.scale_bars[0].check);
   EXPECT_EQ(station.scale_bars[0].a[1].x, 3.5) << "marks are in the memory convention: no half pixel";
   EXPECT_EQ(station.scale_bars[1].targets, (std::array<int, 2>{3, 7}));
+  EXPECT_EQ(station.scale_bars[1].targets_dictionary, TargetDictionary::aruco_4x4_50);
   const auto rejects_scale = [&](const std::string& scale, const auto&... parts) {
     Sections changed = sections;
     changed.rest = photos + "[[scale]]\n" + scale;
@@ -583,6 +600,8 @@ TEST_F(StationFileTest, ReadsPhotosAndScale) {
       "1.jpg", "one mark a photo");
   rejects_scale("distance = 1\ntargets = [3, 3]\ntargets_dictionary = \"d\"\n", "targets", "different");
   rejects_scale("distance = 1\ntargets = [3, 4]\n", "targets_dictionary", "is missing");
+  rejects_scale("distance = 1\ntargets = [3, 4]\ntargets_dictionary = \"aruco_4x4\"\n", "targets_dictionary",
+                "\"aruco_4x4_50\"", "\"apriltag_36h11\"");
   Sections without = {};
   without.rest = "[[scale]]\ndistance = 1\n" + a + b;
   rejects(without, "scale", "marks need the cameras of their images");

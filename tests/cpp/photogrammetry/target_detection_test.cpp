@@ -3,9 +3,7 @@
 #include <opencv2/aruco.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "malus/core/error.h"
 #include "malus/photogrammetry/target_detection_internal.h"
-#include "thrown_error.h"
 
 namespace malus {
 namespace {
@@ -28,27 +26,18 @@ TEST(DetectTargets, FindsNumberAndCenterUnderPerspective) {
   const cv::Matx33d view(0.8, -0.12, 60, 0.15, 0.7, 30, 3e-4, 2e-4, 1);
   // The square's center lies between pixels.
   const cv::Vec3d center = view * cv::Vec3d(100 + side / 2.0 - 0.5, 100 + side / 2.0 - 0.5, 1);
-  for (const auto& [name, dictionary] : {std::pair{"aruco_4x4_50", cv::aruco::DICT_4X4_50},
-                                         std::pair{"apriltag_36h11", cv::aruco::DICT_APRILTAG_36h11}}) {
-    const auto targets = detect_targets(photo_of_target(7, dictionary, view), name);
-    ASSERT_EQ(targets.size(), 1U) << name;
+  for (const auto& [ours, dictionary] : {std::pair{TargetDictionary::aruco_4x4_50, cv::aruco::DICT_4X4_50},
+                                         std::pair{TargetDictionary::apriltag_36h11, cv::aruco::DICT_APRILTAG_36h11}}) {
+    const auto targets = detect_targets(photo_of_target(7, dictionary, view), ours);
+    ASSERT_EQ(targets.size(), 1U) << enum_name(ours);
     EXPECT_EQ(targets[0].id, 7);
-    EXPECT_NEAR(targets[0].center.x(), center[0] / center[2], 0.15) << name;
-    EXPECT_NEAR(targets[0].center.y(), center[1] / center[2], 0.15) << name;
+    EXPECT_NEAR(targets[0].center.x(), center[0] / center[2], 0.15) << enum_name(ours);
+    EXPECT_NEAR(targets[0].center.y(), center[1] / center[2], 0.15) << enum_name(ours);
   }
 }
 
 TEST(DetectTargets, FindsNothingInAnEmptyPhoto) {
-  EXPECT_TRUE(detect_targets(Image<std::uint8_t>({320, 240}, 1, 128), "aruco_4x4_50").empty());
-}
-
-TEST(DetectTargets, NamesTheNearestDictionary) {
-  expect_error(
-      ErrorCode::input,
-      [] {
-        detect_targets(Image<std::uint8_t>({32, 24}, 1, 128), "aruco_4x4_5");
-      },
-      "aruco_4x4_50");
+  EXPECT_TRUE(detect_targets(Image<std::uint8_t>({320, 240}, 1, 128), TargetDictionary::aruco_4x4_50).empty());
 }
 
 }  // namespace

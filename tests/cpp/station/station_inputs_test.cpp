@@ -33,6 +33,7 @@ struct Change {
   void operator()(double& value) const { value += 1; }
   void operator()(int& value) const { value += 1; }
   void operator()(std::string& value) const { value += "2"; }
+  void operator()(Response& value) const { value = Response::of("srgb").value(); }
   void operator()(std::vector<std::filesystem::path>& value) const { value.push_back(folder / "b.png"); }
   void operator()(std::optional<std::filesystem::path>& value) const { value = folder / "mask.png"; }
   template <NamedEnum T>
@@ -72,7 +73,7 @@ TEST_F(StationInputsTest, EveryFieldOfASpecChangesItsValues) {
 
 TEST_F(StationInputsTest, FilesAreComparedByContent) {
   station_.file.polarized.mask = folder_ / "mask.png";
-  station_.file.polarized.response = (folder_ / "table.txt").string();
+  station_.file.polarized.response = Response::of((folder_ / "table.txt").string()).value();
   const auto values = of(&StationInputs::polarized);
   EXPECT_EQ(values.hashes.size(), 3u);
   EXPECT_EQ(values.hashes.at("table.txt"), sha256_of_bytes("table.txt")) << "the name is relative to the station file";
@@ -82,6 +83,31 @@ TEST_F(StationInputsTest, FilesAreComparedByContent) {
     folder_.write(name, name);
   }
   EXPECT_EQ(json(&StationInputs::polarized), values.parts) << "modification times do not count";
+}
+
+/// The process works in another folder while this object lives.
+class WorkingFolder {
+ public:
+  explicit WorkingFolder(const std::filesystem::path& folder) { std::filesystem::current_path(folder); }
+  ~WorkingFolder() { std::filesystem::current_path(before_); }
+  WorkingFolder(const WorkingFolder&) = delete;
+  WorkingFolder& operator=(const WorkingFolder&) = delete;
+
+ private:
+  std::filesystem::path before_ = std::filesystem::current_path();
+};
+
+TEST_F(StationInputsTest, AFileInTheCurrentFolderThatIsCalledAsAResponseDoesNotCount) {
+  for (const char* name : {"linear", "srgb", "gamma:2.2"}) {
+    folder_.write(name, "0 0\n1 1\n");
+    station_.file.polarized.response = Response::of(name).value();
+    const Json elsewhere = json(&StationInputs::polarized);
+    const WorkingFolder here(folder_.path());
+    const auto values = of(&StationInputs::polarized);
+    EXPECT_EQ(values.parts, elsewhere) << name;
+    EXPECT_EQ(values.hashes.size(), 1u) << name;
+    EXPECT_EQ(Json::parse(describe_station_json(station_)).at("files").size(), 2u) << name;
+  }
 }
 
 TEST_F(StationInputsTest, FoldersOfDevelopedImagesDoNotCount) {

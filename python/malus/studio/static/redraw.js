@@ -9,7 +9,7 @@ function calledOf(control) {
   return `${control.closest('fieldset')?.querySelector('legend')?.textContent ?? ''}: ${name}`;
 }
 
-const isText = (control) => control.tagName === 'INPUT' && !['checkbox', 'range'].includes(control.type);
+const isText = (control) => control.tagName === 'TEXTAREA' || (control.tagName === 'INPUT' && !['checkbox', 'range'].includes(control.type));
 
 // Replaces the children of `place`. The focused control keeps the focus and its typed text, because an answer may arrive while the
 // user already fills in the next field. While the pointer is pressed in `place`, the replacement waits: otherwise a pressed button

@@ -123,8 +123,11 @@ const set = (changes) => {
     }
   })();
 };
-const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => row(field, title, make('input', { type: kind, step: 'any', value: under(table, key) ?? '', placeholder,
-  change: doing((event) => set([{ table, key, value: kind === 'number' ? numberIn(event.target, true) : event.target.value || null }])) }), help);
+const text = (field, title, table, key, { kind = 'text', help = '', placeholder = '' } = {}) => {
+  const value = under(table, key) ?? '';
+  const changed = doing((event) => set([{ table, key, value: kind === 'number' ? numberIn(event.target, true) : event.target.value || null }]));
+  return row(field, title, kind === 'lines' ? make('textarea', { rows: 3, change: changed }, value) : make('input', { type: kind, step: 'any', value, placeholder, change: changed }), help);
+};
 
 // A list to choose from. The present value is added if it is not among the options.
 function choice(field, title, present, options, onChange, help = '') {
@@ -141,13 +144,13 @@ function groups() {
     drawn('patch', 'Flat patches', namesOf('patch'), 'patch'), drawn('profile', 'Profiles', namesOf('profile'), 'profile'))];
 }
 
-const CATALOG = [['identifier', 'Inventory number'], ['title', 'Title'], ['maker', 'Maker'], ['date', 'Date'], ['place', 'Place'], ['material', 'Material'], ['collection', 'Collection'],
+const CATALOG = [['identifier', 'Inventory number'], ['title', 'Title'], ['maker', 'Maker'], ['date', 'Date'], ['place', 'Place'], ['material', 'Material'], ['description', 'Description', 'lines'], ['collection', 'Collection'],
   ['recorded_by', 'Recorded by'], ['recorded_on', 'Recorded on'], ['rights', 'Rights'], ['license', 'License']];
 
 function objectGroup() {
   return group('The object', text('station', 'Name of the object', 'station', 'name'),
     choice('unit', 'Unit of lengths', under('station', 'unit') ?? 'mm', ['mm', 'um', 'cm', 'm', 'in', 'ft'].map((unit) => [unit, unit]), (value) => set([{ table: 'station', key: 'unit', value }]), 'Unit of every length in the files and in the results.'),
-    make('details', { id: 'catalog' }, make('summary', {}, 'For the catalog (goes into the results)'), ...CATALOG.map(([key, title]) => text('object', title, 'object', key))));
+    make('details', { id: 'catalog' }, make('summary', {}, 'For the catalog (goes into the results)'), ...CATALOG.map(([key, title, kind]) => text('object', title, 'object', key, { kind }))));
 }
 
 function imagesGroup() {
