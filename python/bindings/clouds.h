@@ -25,7 +25,7 @@ py::array_t<T> to_array(const std::vector<Row>& rows) {
                         reinterpret_cast<const T*>(rows.data()));
 }
 
-/// Cloud from N×3 points, optionally with a normal or a color for each point.
+/// Cloud from N×3 points, optionally with a normal and a color for each point.
 inline PointCloud to_cloud(const Array<double>& points, const std::optional<Array<float>>& normals = {},
                            const std::optional<Array<std::uint8_t>>& colors = {}) {
   PointCloud cloud{to_rows<Eigen::Vector3d>(points), {}, {}};

@@ -35,6 +35,7 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
                             const std::optional<CameraValues>& camera, const std::string& tables,
                             const std::optional<Array<double>>& prior_points,
                             const std::optional<Array<float>>& prior_normals,
+                            const std::optional<Array<std::uint8_t>>& prior_colors,
                             const std::optional<Array<std::uint32_t>>& prior_triangles,
                             const std::optional<Image<float>>& prior_depth, const std::optional<Mask>& mask,
                             const std::optional<Mask>& labels) {
@@ -51,7 +52,7 @@ Station station_from_arrays(std::vector<Image<float>>& images, bool whole_number
   if (prior_triangles) {
     station.prior = to_mesh(to_cloud(*prior_points), *prior_triangles);
   } else if (prior_points) {
-    station.prior = to_cloud(*prior_points, prior_normals);
+    station.prior = to_cloud(*prior_points, prior_normals, prior_colors);
   } else if (prior_depth) {
     station.prior = *prior_depth;
   }
@@ -86,8 +87,9 @@ Station with_curves_of(Station station, const std::vector<std::array<double, 2>>
 }
 
 /// The station with a cloud as prior in place of the prior's file.
-Station with_cloud(Station station, const Array<double>& points, const std::optional<Array<float>>& normals) {
-  station.prior = to_cloud(points, normals);
+Station with_cloud(Station station, const Array<double>& points, const std::optional<Array<float>>& normals,
+                   const std::optional<Array<std::uint8_t>>& colors) {
+  station.prior = to_cloud(points, normals, colors);
   return station;
 }
 
@@ -196,12 +198,13 @@ void bind_run(py::module_& module) {
       .def_static("load", &Station::load, py::arg("path"), py::arg("photos_of"), WithoutGil())
       .def_static("from_arrays", &station_from_arrays, py::kw_only(), py::arg("images"), py::arg("whole_numbers"),
                   py::arg("camera"), py::arg("tables"), py::arg("prior_points"), py::arg("prior_normals"),
-                  py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"), py::arg("labels"))
+                  py::arg("prior_colors"), py::arg("prior_triangles"), py::arg("prior_depth"), py::arg("mask"),
+                  py::arg("labels"))
       .def("describe", &describe_station_json)
       .def("with_developed", &with_developed, py::arg("images"), py::arg("full_well_e"), py::arg("read_noise_e"))
       .def("with_file_doubts", &with_file_doubts, py::arg("doubts"), py::arg("notes"))
       .def("with_curves_of", &with_curves_of, py::arg("pixels"))
-      .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"))
+      .def("with_cloud", &with_cloud, py::arg("points"), py::arg("normals"), py::arg("colors"))
       .def("with_photogrammetry", &with_photogrammetry, py::arg("camera"), py::arg("swept"), py::arg("figures"),
            py::arg("times"), py::arg("warnings"), py::arg("files"));
   py::class_<Results, std::shared_ptr<Results>>(module, "Results");

@@ -121,6 +121,16 @@ def as_rows(
     return np.ascontiguousarray(array, dtype=dtype)
 
 
+def as_colors(values: ArrayLike, name: str, count: int) -> NDArray[np.uint8]:
+    """Colors as bytes, `count`×3; ValueError for those in [0, 1], which all became black, and for those that no byte can have."""
+    colors = as_rows(values, name, count)
+    low, high = (colors.min(), colors.max()) if colors.size else (0, 0)
+    in_one = np.asarray(values).dtype.kind == "f" and 0 < high <= 1
+    if in_one or not (low >= 0 and high <= 255):
+        raise ValueError(f"{name} has values from {low:g} to {high:g}, expected 0 to 255")
+    return colors.round().astype(np.uint8)
+
+
 def as_triangles(values: ArrayLike, name: str, vertices: int) -> NDArray[np.uint32]:
     """M×3 indices of `vertices` vertices; ValueError for another shape, for fractions, and for indices of no vertex."""
     array = as_numbers(values, name)

@@ -61,6 +61,7 @@ class Station:
         tables: str,
         prior_points: _Float64 | None,
         prior_normals: _Float32 | None,
+        prior_colors: _Bytes | None,
         prior_triangles: NDArray[np.uint32] | None,
         prior_depth: _Float32 | None,
         mask: _Bytes | None,
@@ -70,7 +71,7 @@ class Station:
     def with_developed(self, images: list[str], full_well_e: float | None, read_noise_e: float | None) -> Station: ...
     def with_file_doubts(self, doubts: list[tuple[str, str, str]], notes: list[tuple[str, str, str]]) -> Station: ...
     def with_curves_of(self, pixels: list[tuple[int, int]]) -> Station: ...
-    def with_cloud(self, points: _Float64, normals: _Float32 | None) -> Station: ...
+    def with_cloud(self, points: _Float64, normals: _Float32 | None, colors: _Bytes | None) -> Station: ...
     def with_photogrammetry(
         self,
         camera: _CameraValues,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
-from malus._arrays import as_angles, as_image, as_mask, as_rows, as_shares
+from malus._arrays import as_angles, as_colors, as_image, as_mask, as_rows, as_shares
 from malus._core import PolarizationState
 from malus.camera import Camera
 from malus.threads import ALL_CORES
@@ -95,20 +95,6 @@ def _scene_and_mask(
     return image, as_mask(mask, shape)
 
 
-def _colors_of(values: ArrayLike | None, count: int) -> NDArray[np.uint8] | None:
-    """Colors as bytes; ValueError for those in [0, 1], which all became black, and for those that no byte can have."""
-    if values is None:
-        return None
-    colors = as_rows(values, "colors", count)
-    if colors.size == 0:
-        return None
-    low, high = colors.min(), colors.max()
-    in_one = np.asarray(values).dtype.kind == "f" and 0 < high <= 1
-    if in_one or not (low >= 0 and high <= 255):
-        raise ValueError(f"colors has values from {low:g} to {high:g}, expected 0 to 255")
-    return colors.round().astype(np.uint8)
-
-
 def check_cloud(
     points: ArrayLike,
     state: PolarizationState,
@@ -138,7 +124,7 @@ def check_cloud(
         **_core.check_cloud(
             cloud,
             None if normals is None else as_rows(normals, "normals", len(cloud), np.float32),
-            _colors_of(colors, len(cloud)),
+            None if colors is None else as_colors(colors, "colors", len(cloud)),
             state,
             image,
             object_mask,

@@ -161,8 +161,7 @@ def _readable(
     """
     description = station.describe()
     if "prior_cloud" in description and scans.is_scan(Path(description["prior_cloud"])):
-        points, normals = scans.read_scan(Path(description["prior_cloud"]), description["unit"])
-        core = core.with_cloud(points, normals)
+        core = core.with_cloud(*scans.read_scan(Path(description["prior_cloud"]), description["unit"]))
     images = [Path(path) for path in description["images"]]
     exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
     doubts = encoding.doubts(images, description["response"]) + exif.exposure_doubts(images, description["exposure_s"])

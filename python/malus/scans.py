@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +12,24 @@ from numpy.typing import NDArray
 from malus._e57_xml import require_fields_of_points
 from malus._extra import extra
 from malus._files import open_regular
-from malus._laz import fields_of
+from malus._laz import decoded, records_of
 from malus.errors import ExternalError, InputError
 from malus.units import METERS
 
-#: Points, N×3, and normals, N×3 or None.
-Cloud: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float32] | None]
+
+class Cloud(NamedTuple):
+    """A scan. points: N×3; normals: N×3, of length 1 or, where one is not known, 0; colors: N×3, 0 to 255. None = the file has none."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float32] | None
+    colors: NDArray[np.uint8] | None
+
 
 #: Formats that only the Python package reads (io/point_cloud_file.cpp tells this to users of malus-station).
 SUFFIXES = frozenset((".las", ".laz", ".e57"))
+#: Their fields of normals and colors.
 _NORMALS = {".las": ("normal_x", "normal_y", "normal_z"), ".e57": ("nor:normalX", "nor:normalY", "nor:normalZ")}
+_COLORS = {".las": ("red", "green", "blue"), ".e57": ("colorRed", "colorGreen", "colorBlue")}
 #: E57: the coordinates that a scan may have, and the field that says which of its points are valid.
 _E57_PLACES = (
     ("cartesianX", "cartesianY", "cartesianZ", "cartesianInvalidState"),
@@ -38,7 +47,7 @@ def is_scan(path: Path) -> bool:
 
 
 def read_scan(path: Path, unit: str) -> Cloud:
-    """Points (N×3, in `unit`) and their unit normals (N×3, 0 where one is unknown) if the file has normals.
+    """Points, in `unit`, with the normals and colors that the file has.
 
     LAS states no unit: its coordinates are taken to be in `unit`. E57 is in meters by its standard. All scans of an E57 file
     are read, transformed into the file's common frame. Raises InputError for a file that cannot be read, holds fewer points than
@@ -49,17 +58,18 @@ def read_scan(path: Path, unit: str) -> Cloud:
     library = extra(name, name, f"{path}: {kind}")
     try:
         open_regular(path).close()  # the libraries would wait for a pipe
-        points, normals = _read_e57(library, path, unit) if is_e57 else _read_las(library, path)
+        cloud = _read_e57(library, path, unit) if is_e57 else _read_las(library, path)
     except (MemoryError, ExternalError):
         raise
     except Exception as error:  # for a damaged file both libraries may raise any exception
         said = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(f"{path}: is not a cloud that can be read ({said})") from None
-    if not len(points):
+    count = len(cloud.points)
+    if not count:
         raise InputError(f"{path}: has no points")
-    if bad := len(points) - int(np.isfinite(points).all(1).sum()):
-        raise InputError(f"{path}: {bad} of {len(points)} points have coordinates that are not finite")
-    return points, None if normals is None else _units(normals)
+    if bad := count - int(np.isfinite(cloud.points).all(1).sum()):
+        raise InputError(f"{path}: {bad} of {count} points have coordinates that are not finite")
+    return cloud if cloud.normals is None else cloud._replace(normals=_units(cloud.normals))
 
 
 def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -69,13 +79,24 @@ def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(known / np.where(lengths > 0, lengths, 1), dtype=np.float32)
 
 
-def as_ply(points: NDArray[np.float64], normals: NDArray[np.float32] | None, folder: Path) -> Path:
+def _bytes(colors: NDArray[Any], limits: Sequence[tuple[float, float]] | None = None) -> NDArray[np.uint8]:
+    """Colors (N×3) from 0 to 255; 0 where a value is no number. limits: least and largest value of red, green and blue, if stated;
+    otherwise values up to 255 are bytes, which many programs write into fields of 16 bits, and others have 16 bits.
+    """
+    ends = limits or [(0, 65535 if (colors > 255).any() else 255)] * 3
+    values = [np.nan_to_num(np.interp(colors[:, k], ends[k], (0, 255))).round().astype(np.uint8) for k in range(3)]
+    return np.stack(values, axis=1)
+
+
+def as_ply(cloud: Cloud, folder: Path) -> Path:
     """FOLDER/scan.ply with a cloud as `read_scan` returns it, which the C++ library can read."""
     from malus.object.ply import columns, write_ply  # malus.object imports this module
 
-    properties = columns("xyz", points, "f8")
-    if normals is not None:
-        properties |= columns(("nx", "ny", "nz"), normals, "f4")
+    properties = columns("xyz", cloud.points, "f8")
+    if cloud.normals is not None:
+        properties |= columns(("nx", "ny", "nz"), cloud.normals, "f4")
+    if cloud.colors is not None:
+        properties |= columns(("red", "green", "blue"), cloud.colors, "u1")
     folder.mkdir(parents=True, exist_ok=True)
     write_ply(folder / "scan.ply", properties, None, "reference scan")
     return folder / "scan.ply"
@@ -86,19 +107,35 @@ def _read_las(library: Any, path: Path) -> Cloud:
     # Extended records may state any length, and none has points.
     with library.open(str(path), read_evlrs=False) as reader:
         header = reader.header
-        has_normals = set(_NORMALS[".las"]) <= set(header.point_format.dimension_names)
-        names = [*"xyz", *(_NORMALS[".las"] if has_normals else ())]
+        layout = header.point_format
+        normals = _of(_NORMALS[".las"], layout.dimension_names)
+        colors = _of(_COLORS[".las"], layout.standard_dimension_names)  # others of these names may be of any type
+        kind = np.dtype(
+            [*((name, "f8") for name in "xyz"), *((name, "f4") for name in normals), *((name, "u2") for name in colors)]
+        )
         if header.are_points_compressed:
             _require_same_length(header)
-            table = fields_of(path, names)
+            records = decoded(path, kind)
         else:
-            parts = [
-                np.stack([np.asarray(some[name]) for name in names], axis=1) for some in reader.chunk_iterator(_AT_ONCE)
-            ]
-            table = np.concatenate([np.empty((0, len(names))), *parts])
-    _require_all(len(table), header.point_count)
-    normals = table[:, 3:].astype(np.float32) if has_normals else None
-    return np.array(table[:, :3]), normals
+            records = np.concatenate(
+                [np.empty(0, kind), *(records_of(some, kind) for some in reader.chunk_iterator(_AT_ONCE))]
+            )
+    _require_all(len(records), header.point_count)
+    return Cloud(
+        _columns(records, "xyz"),
+        _columns(records, normals) if normals else None,
+        _bytes(_columns(records, colors)) if colors else None,
+    )
+
+
+def _of(names: tuple[str, ...], fields: Iterable[str]) -> tuple[str, ...]:
+    """These names of fields if all of them are among the fields, else none."""
+    return names if set(names) <= set(fields) else ()
+
+
+def _columns(values: Mapping[str, NDArray[Any]] | NDArray[np.void], names: Iterable[str]) -> NDArray[Any]:
+    """N×K values of K fields."""
+    return np.stack([values[name] for name in names], axis=1)
 
 
 def _require_all(found: int, counted: int) -> None:
@@ -141,16 +178,32 @@ def _read_e57(library: Any, path: Path, unit: str) -> Cloud:
         scans = [_e57_scan(library.libe57, file, file.get_header(k), size) for k in range(file.scan_count)]
     finally:
         file.close()
-    cloud = np.concatenate([np.empty((0, 3)), *(points for points, _ in scans)])
-    normals = [directions for _, directions in scans if directions is not None]
-    return (
-        np.ascontiguousarray(cloud / METERS[unit], dtype=np.float64),
-        np.concatenate(normals) if normals and len(normals) == len(scans) else None,
-    )
+    if not scans:
+        return Cloud(np.empty((0, 3)), None, None)
+    points, *others = zip(*scans, strict=True)
+    normals, colors = (None if any(part is None for part in parts) else np.concatenate(parts) for parts in others)
+    return Cloud(np.ascontiguousarray(np.concatenate(points) / METERS[unit], dtype=np.float64), normals, colors)
+
+
+def _color_limits(header: Any) -> list[tuple[float, float]] | None:
+    """Least and largest value of red, green and blue that an E57 scan states, if it does."""
+    if "colorLimits" not in header.scan_fields:
+        return None
+    stated = header["colorLimits"]
+    names = [(f"{color}Minimum", f"{color}Maximum") for color in _COLORS[".e57"]]
+    if not all(stated.isDefined(name) for ends in names for name in ends):
+        return None
+
+    def number(name: str) -> float:
+        node = stated[name]
+        return float(node.scaledValue() if hasattr(node, "scaledValue") else node.value())
+
+    limits = [(number(least), number(most)) for least, most in names]
+    return limits if all(least < most for least, most in limits) else None
 
 
 def _e57_scan(library: Any, file: Any, header: Any, size: int) -> Cloud:
-    """Points [m] and normals, if it has them, of the valid points of a scan of a file of this size, in the file's common frame.
+    """The valid points [m] of a scan of a file of this size, in the file's common frame, with normals and colors if it has them.
 
     pye57's own reader knows no fields of extensions, and takes what was in memory before for points that the file does not hold.
     """
@@ -161,14 +214,16 @@ def _e57_scan(library: Any, file: Any, header: Any, size: int) -> Cloud:
     count = int(header.point_count)
     if count > 8 * size:  # a point takes a bit at least
         raise ValueError(f"its header counts {count} points, more than the file has room for")
-    directions = [name for name in _NORMALS[".e57"] if set(_NORMALS[".e57"]) <= fields]
-    values = {name: np.empty(count) for name in [*places, *directions, *({state} & fields)]}
+    directions, colors = _of(_NORMALS[".e57"], fields), _of(_COLORS[".e57"], fields)
+    states = {state, "isColorInvalid"} & fields
+    values = {name: np.empty(count) for name in (*places, *directions, *states)}
+    values |= {name: np.empty(count, np.float32) for name in colors}
     buffers = library.VectorSourceDestBuffer()
     for name, array in values.items():
         buffers.append(library.SourceDestBuffer(file.image_file, name, array, count, True, True))
     _require_all(header.points.reader(buffers).read() if count else 0, count)
     valid = values[state] == 0 if state in values else np.full(count, True)
-    points = np.stack([values[name][valid] for name in places], axis=1)
+    points = _columns(values, places)[valid]
     if state == "sphericalInvalidState":
         distance, azimuth, elevation = points.T
         level = distance * np.cos(elevation)
@@ -178,5 +233,8 @@ def _e57_scan(library: Any, file: Any, header: Any, size: int) -> Cloud:
         rotation, translation = header.rotation_matrix, header.translation
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
         raise ValueError("the pose of a scan has no rotation")
-    normals = np.stack([values[name][valid] for name in directions], axis=1) @ rotation.T if directions else None
-    return points @ rotation.T + translation, None if normals is None else normals.astype(np.float32)
+    normals = (_columns(values, directions)[valid] @ rotation.T).astype(np.float32) if directions else None
+    painted = _bytes(_columns(values, colors)[valid], _color_limits(header)) if colors else None
+    if painted is not None and "isColorInvalid" in values:
+        painted[values["isColorInvalid"][valid] != 0] = 0  # black, as the unknown colors of other files
+    return Cloud(points @ rotation.T + translation, normals, painted)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import (
+    as_colors,
     as_image,
     as_images,
     as_labels,
@@ -168,6 +169,7 @@ class Station:
         *,
         prior_points: ArrayLike | None = None,
         prior_normals: ArrayLike | None = None,
+        prior_colors: ArrayLike | None = None,
         prior_mesh: tuple[ArrayLike, ArrayLike] | None = None,
         prior_depth: ArrayLike | None = None,
         prior_sigma: float | None = None,
@@ -196,12 +198,12 @@ class Station:
         of any type need polarized={"white_level": …}, and those of an integer type count as rounded, as those of a file.
         angles_deg: K polarizer angles, counter-clockwise from image +x as displayed; "auto" if they are not known; None with
         a mosaic, which states the angles itself. Give at most one prior: prior_points (N×3, world frame, in `unit`) with or
-        without prior_normals (N×3, out of the object), prior_mesh (vertices N×3, world frame, and triangles M×3 of their
-        indices), prior_depth (H×W z-depth of the undistorted view, NaN = none), `prior`, a file or a shape, or `photos`, which
-        give the camera's pose, too. The polarization maps and the height from them need neither prior nor camera (None);
-        everything else does. prior_sigma: standard deviation of points, mesh or depth, in `unit`. mask: H×W, non-zero = object.
-        refractive_index: None = "auto". reflection: a word, a file, or labels H×W (1 = diffuse, 2 = specular, 0 = decide) as taken.
-        metal: "auto", "none", the bare metal's name or its refractive index, n + k i or (n, k).
+        without prior_normals (N×3, out of the object) and prior_colors (N×3, 0 to 255, to compare with the images), prior_mesh
+        (vertices N×3, world frame, and triangles M×3 of their indices), prior_depth (H×W z-depth of the undistorted view, NaN =
+        none), `prior`, a file or a shape, or `photos`, which give the camera's pose, too. The polarization maps and the height
+        from them need neither prior nor camera (None); everything else does. prior_sigma: standard deviation of points, mesh or
+        depth, in `unit`. mask: H×W, non-zero = object. refractive_index: None = "auto". reflection: a word, a file, or labels
+        H×W (1 = diffuse, 2 = specular, 0 = decide) as taken. metal: "auto", "none", its name or refractive index, n + k i or (n, k).
 
         The remaining tables of a station file are given with the keys of the file: `polarized` (response, levels, exposures,
         channel, mosaic …), `optics` (light …), `patches`, `profiles`, `photos`, `scale`, `control` (points that check the
@@ -215,7 +217,8 @@ class Station:
         _require_said_once("prior", prior, sigma=prior_sigma)
         stack, whole_numbers = _stack(images, camera, polarized)
         shape = stack[0].shape[:2]
-        arrays = _prior_arrays(prior_points, prior_normals, prior_mesh, prior_depth, shape, (prior, photos))
+        cloud = (prior_points, prior_normals, prior_colors)
+        arrays = _prior_arrays(cloud, prior_mesh, prior_depth, shape, (prior, photos))
         labels = None if isinstance(reflection, str | os.PathLike) else as_labels(reflection, "reflection", shape)
         self._labels_sha256 = None if labels is None else hashlib.sha256(labels.tobytes()).hexdigest()
         tables = {
@@ -348,8 +351,7 @@ def _with_absolute_folders(photos: PhotosValues) -> dict[str, Any]:
 
 
 def _prior_arrays(
-    points: ArrayLike | None,
-    normals: ArrayLike | None,
+    cloud: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     mesh: tuple[ArrayLike, ArrayLike] | None,
     depth: ArrayLike | None,
     shape: tuple[int, ...],
@@ -357,19 +359,26 @@ def _prior_arrays(
 ) -> dict[str, Any]:
     """The arrays of a prior, checked, under the names by which the C++ library takes them; a mesh's vertices are points.
 
-    others: the tables that give a prior, too. ValueError if more than one way is given.
+    cloud: points, normals and colors. others: the tables that give a prior, too. ValueError if more than one way is given.
     """
+    points, normals, colors = cloud
     if sum(given is not None for given in (points, mesh, depth, *others)) > 1:
         raise ValueError(
             "prior_points, prior_mesh, prior_depth, prior, photos: more than one is given, expected one of them"
         )
-    arrays: dict[str, Any] = dict.fromkeys(("prior_points", "prior_normals", "prior_triangles", "prior_depth"))
+    arrays: dict[str, Any] = dict.fromkeys(
+        ("prior_points", "prior_normals", "prior_colors", "prior_triangles", "prior_depth")
+    )
+    for name, given in (("prior_normals", normals), ("prior_colors", colors)):
+        if given is not None and points is None:
+            raise ValueError(f"{name} are given without prior_points")
     if points is not None:
         arrays["prior_points"] = as_rows(points, "prior_points")
+        count = len(arrays["prior_points"])
         if normals is not None:
-            arrays["prior_normals"] = as_rows(normals, "prior_normals", len(arrays["prior_points"]), np.float32)
-    elif normals is not None:
-        raise ValueError("prior_normals are given without prior_points")
+            arrays["prior_normals"] = as_rows(normals, "prior_normals", count, np.float32)
+        if colors is not None:
+            arrays["prior_colors"] = as_colors(colors, "prior_colors", count)
     if mesh is not None:
         if len(mesh) != 2:
             raise ValueError(f"prior_mesh has {len(mesh)} parts, expected vertices (N, 3) and triangles (M, 3)")

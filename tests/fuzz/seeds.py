@@ -132,13 +132,18 @@ def _scans(seed: Seed) -> None:
     """Seeds of LAS and E57 files; of the latter without checksums (see parsers.py)."""
     chance = np.random.default_rng(0)
     points, normals = chance.uniform(-9, 9, (20, 3)), np.tile([0.0, 0.0, 1.0], (20, 1))
+    colors = chance.integers(0, 256, (20, 3)).astype(np.uint8)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "cloud"
         for suffix in (".las", ".laz"):
             write_las(path.with_suffix(suffix), points, normals)
             seed(suffix[1:], suffix[1:], path.with_suffix(suffix).read_bytes())
+            write_las(path.with_suffix(suffix), points, normals, colors)
+            seed(suffix[1:], "colored", path.with_suffix(suffix).read_bytes())
         write_e57(path, points)
         seed("e57", "posed", content_of(path.read_bytes()))
+        write_e57(path, points, colors)
+        seed("e57", "colored", content_of(path.read_bytes()))
         write_e57_with_normals(path, points, normals, chance.integers(0, 3, 20))
         seed("e57", "normals", content_of(path.read_bytes()))
 

@@ -373,6 +373,14 @@ def metashape_cameras(station: Path, label: str, scale: float = 0.25) -> str:
 <transform><scale>{scale}</scale></transform></chunk></document>"""
 
 
+def cloud_of(station: Path) -> np.ndarray:
+    """Fields xyz, normal and color of the points of a station that is cut out of the demo."""
+    data = (station.parent / "dense/cloud.ply").read_bytes()
+    head, end = data.partition(b"end_header\n")[0], data.index(b"end_header\n") + len(b"end_header\n")
+    count = int(re.findall(rb"element vertex (\d+)", head)[0])
+    return np.frombuffer(data, [("xyz", "<f4", 3), ("normal", "<f4", 3), ("color", "u1", 3)], count, end)
+
+
 def cloud_in_meters(station: Path, path: Path) -> None:
     """Write the cloud of a station (millimeters) as a program that works in meters would."""
     import trimesh

@@ -286,6 +286,9 @@ def test_las_reads_back(workspace: malus.Workspace, points: np.ndarray, tmp_path
     np.testing.assert_allclose(cloud.xyz, points.reshape(-1, 3), atol=1e-3 * workspace.quality["gsd"])
     np.testing.assert_allclose(cloud.sigma, workspace.raster("fused/sigma.tif").ravel(), rtol=1e-5)
     assert cloud.red.max() > 255
+    np.testing.assert_array_equal(
+        scans.read_scan(tmp_path / name, "mm").colors, exports.Exporter(workspace).cloud()[0].colors
+    )
     # As the specification requires for point format 7: converters to COPC refuse files without this bit.
     assert cloud.header.global_encoding.wkt
     assert cloud.header.number_of_points_by_return[0] == cloud.header.point_count == len(cloud.xyz)
@@ -337,8 +340,9 @@ def test_e57_reads_back_in_meters(workspace: malus.Workspace, points: np.ndarray
         np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], -1), mesh.colors
     )
     np.testing.assert_array_equal(np.rint(np.asarray(other.color) * 255), mesh.colors)
-    _, normals = scans.read_scan(tmp_path / "a.e57", "mm")
+    _, normals, colors = scans.read_scan(tmp_path / "a.e57", "mm")
     assert normals is not None
+    np.testing.assert_array_equal(colors, mesh.colors)
     np.testing.assert_allclose(normals, mesh.normals, atol=1e-6)
 
 
@@ -385,7 +389,7 @@ def test_e57_far_from_the_origin_has_a_pose(
     xyz = np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], -1) * 1000 - far
     np.testing.assert_allclose(xyz, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
     # As a prior it lies where it was.
-    read, _ = scans.read_scan(path, "mm")
+    read = scans.read_scan(path, "mm").points
     np.testing.assert_allclose(read - far, mesh.vertices, atol=1e-3 * workspace.quality["gsd"])
 
 

@@ -21,7 +21,7 @@ import tifffile
 from PIL import Image
 
 import malus
-from conftest import QUICK, QUICK_WORDS, edit, half_written, malus_here, malus_station, run_program
+from conftest import QUICK, QUICK_WORDS, cloud_of, edit, half_written, malus_here, malus_station, run_program
 from conftest import malus as run_malus
 from malus.overlay import draw_overlay
 
@@ -219,19 +219,11 @@ def test_python_arrays_give_the_same_surface(finished: Path, small_station_sourc
     camera = malus.Camera(
         "PINHOLE", 200, 160, [fx, fy, cx - 0.5, cy - 0.5], rotation, [float(t) for t in image_line[5:8]]
     )
-    cloud = small_station_source / "dense/cloud.ply"
-    data = cloud.read_bytes()
-    start = data.index(b"end_header\n") + len(b"end_header\n")
-    count = int(
-        next(line for line in data[:start].decode().splitlines() if line.startswith("element vertex")).split()[2]
-    )
-    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("n", "<f4", 3), ("c", "u1", 3)])
-    points = np.frombuffer(data, record, count, start)
     station = malus.Station(
         images,
         [0, 30, 60, 90, 120, 150],
         camera,
-        prior_points=np.stack([points["x"], points["y"], points["z"]], -1),
+        prior_points=cloud_of(small_station_source / "station.toml")["xyz"],
         frames_averaged=16,
         full_well_e=20000,
         read_noise_e=8,

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import edit, malus_here, malus_station
+from conftest import cloud_of, edit, malus_here, malus_station
 from e57_pages import as_file, content_of
 from malus import _core
 from malus._e57_xml import require_fields_of_points
 from malus._files import sha256_of
-from malus.scans import read_scan
+from malus.scans import as_ply, read_scan
 
 
 @pytest.fixture
@@ -28,16 +28,19 @@ def cloud() -> tuple[np.ndarray, np.ndarray]:
     return random.uniform(-20, 20, (500, 3)), normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
-def write_las(path: Path, points: np.ndarray, normals: np.ndarray) -> None:
+def write_las(path: Path, points: np.ndarray, normals: np.ndarray, colors: np.ndarray | None = None) -> None:
+    """colors: as they are in the file, whose fields have 16 bits."""
     import laspy
 
-    header = laspy.LasHeader(point_format=6, version="1.4")
+    header = laspy.LasHeader(point_format=6 if colors is None else 7, version="1.4")
     header.scales = np.full(3, 1e-5)
     for name in ("normal_x", "normal_y", "normal_z"):
         header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.float32))
     data = laspy.LasData(header)
     data.x, data.y, data.z = points.T
     data.normal_x, data.normal_y, data.normal_z = normals.T.astype(np.float32)
+    if colors is not None:
+        data.red, data.green, data.blue = colors.T.astype(np.uint16)
     data.write(str(path))
 
 
@@ -77,7 +80,8 @@ def write_e57_with_normals(path: Path, points_mm: np.ndarray, normals: np.ndarra
     file.close()
 
 
-def write_e57(path: Path, points_mm: np.ndarray) -> None:
+def write_e57(path: Path, points_mm: np.ndarray, colors: np.ndarray | None = None, **fields: np.ndarray) -> None:
+    """colors: 0 to 255, with limits that say so. fields: others that pye57 can write."""
     import pye57
 
     file = pye57.E57(str(path), mode="w")
@@ -85,8 +89,11 @@ def write_e57(path: Path, points_mm: np.ndarray) -> None:
     turned = np.array([np.cos(0.2), 0, 0, np.sin(0.2)])  # about z
     inverse = np.array([[np.cos(0.4), np.sin(0.4), 0], [-np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
     local = (np.stack([x, y, z], axis=1) - np.array([0.5, 0, 0])) @ inverse.T
+    columns = {f"cartesian{axis}": local[:, k].copy() for k, axis in enumerate("XYZ")}
+    if colors is not None:
+        columns |= {f"color{name}": colors[:, k].copy() for k, name in enumerate(("Red", "Green", "Blue"))}
     file.write_scan_raw(
-        {"cartesianX": local[:, 0].copy(), "cartesianY": local[:, 1].copy(), "cartesianZ": local[:, 2].copy()},
+        {**columns, **fields},
         rotation=turned,
         translation=np.array([0.5, 0, 0]),
     )
@@ -96,7 +103,7 @@ def write_e57(path: Path, points_mm: np.ndarray) -> None:
 def test_las_has_points_and_normals(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
     pytest.importorskip("laspy")
     write_las(tmp_path / "cloud.las", *cloud)
-    points, normals = read_scan(tmp_path / "cloud.las", "mm")
+    points, normals, _ = read_scan(tmp_path / "cloud.las", "mm")
     np.testing.assert_allclose(points, cloud[0], atol=1e-5)
     assert normals is not None
     np.testing.assert_allclose(normals, cloud[1], atol=1e-6)
@@ -105,7 +112,7 @@ def test_las_has_points_and_normals(tmp_path: Path, cloud: tuple[np.ndarray, np.
 def test_e57_is_in_meters_and_in_its_common_frame(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
     pytest.importorskip("pye57")
     write_e57(tmp_path / "cloud.e57", cloud[0])
-    points, normals = read_scan(tmp_path / "cloud.e57", "mm")
+    points, normals, _ = read_scan(tmp_path / "cloud.e57", "mm")
     np.testing.assert_allclose(points, cloud[0], atol=1e-4)
     assert normals is None
 
@@ -115,7 +122,7 @@ def test_e57_with_normals_is_read_with_them(tmp_path: Path, cloud: tuple[np.ndar
     pytest.importorskip("pye57")
     invalid = np.arange(len(cloud[0])) % 5 == 2
     write_e57_with_normals(tmp_path / "cloud.e57", *cloud, 2 * invalid)
-    points, normals = read_scan(tmp_path / "cloud.e57", "mm")
+    points, normals, _ = read_scan(tmp_path / "cloud.e57", "mm")
     assert normals is not None
     np.testing.assert_allclose(points, cloud[0][~invalid], atol=1e-9)
     np.testing.assert_allclose(normals, cloud[1][~invalid], atol=1e-6)
@@ -126,10 +133,102 @@ def test_normals_of_a_scan_have_length_1_or_0(tmp_path: Path, cloud: tuple[np.nd
     given = 3 * cloud[1]
     given[0], given[1] = 0, np.nan
     write_las(tmp_path / "cloud.las", cloud[0], given)
-    _, normals = read_scan(tmp_path / "cloud.las", "mm")
+    normals = read_scan(tmp_path / "cloud.las", "mm").normals
     assert normals is not None
     np.testing.assert_allclose(normals[2:], cloud[1][2:], atol=1e-6)
     np.testing.assert_array_equal(normals[:2], 0)
+
+
+@pytest.fixture
+def colors() -> np.ndarray:
+    return np.random.default_rng(5).integers(0, 256, (500, 3)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("name", ["cloud.las", "cloud.laz"])
+def test_colors_of_las_have_16_bits_or_8_in_fields_of_16(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], colors: np.ndarray, name: str
+) -> None:
+    """They were left out."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / name
+    write_las(path, *cloud)
+    assert read_scan(path, "mm").colors is None
+    for factor in (1, 257):
+        write_las(path, *cloud, colors.astype(int) * factor)
+        points, normals, found = read_scan(path, "mm")
+        assert found is not None and normals is not None and found.dtype == np.uint8
+        np.testing.assert_array_equal(found, colors)
+        np.testing.assert_allclose(points, cloud[0], atol=1e-5)
+        np.testing.assert_allclose(normals, cloud[1], atol=1e-6)
+    # All values of 16 bits, rounded as those of a PLY file.
+    every = np.arange(65536)
+    write_las(path, np.zeros((65536, 3)), np.zeros((65536, 3)), np.stack([every, every[::-1], every], axis=1))
+    found = read_scan(path, "mm").colors
+    assert found is not None
+    np.testing.assert_array_equal(found[:, 0], np.round(every / 257))
+    np.testing.assert_array_equal(found[:, 1], np.round(every[::-1] / 257))
+
+
+def test_fields_of_las_that_are_only_called_like_colors_are_none(tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    for name in ("red", "green", "blue"):
+        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type="3f8"))
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.arange(3.0)
+    las.write(str(tmp_path / "cloud.las"))
+    assert read_scan(tmp_path / "cloud.las", "mm").colors is None
+
+
+def test_colors_of_e57_lie_between_the_limits_that_it_states(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], colors: np.ndarray
+) -> None:
+    """They were left out."""
+    pytest.importorskip("pye57")
+    path = tmp_path / "cloud.e57"
+    write_e57(path, cloud[0])
+    assert read_scan(path, "mm").colors is None
+    write_e57(path, cloud[0], colors)
+    whole = content_of(path.read_bytes())
+
+    def read(limits: bytes, most: bytes) -> np.ndarray:
+        """With another element for the limits, or another upper limit of green."""
+        changed = whole.replace(b"colorLimits", limits)
+        (path).write_bytes(as_file(re.sub(rb"(<colorGreenMaximum [^>]*>)255<", rb"\g<1>" + most + b"<", changed)))
+        found = read_scan(path, "mm").colors
+        assert found is not None and found.dtype == np.uint8
+        return found
+
+    np.testing.assert_array_equal(read(b"colorLimits", b"255"), colors)
+    half = read(b"colorLimits", b"510")
+    np.testing.assert_array_equal(half[:, [0, 2]], colors[:, [0, 2]])
+    np.testing.assert_array_equal(half[:, 1], np.round(colors[:, 1] / 2))
+    np.testing.assert_array_equal(read(b"colorLimits", b"51")[:, 1], np.minimum(5.0 * colors[:, 1], 255))
+    # Limits that are not stated or no limits.
+    np.testing.assert_array_equal(read(b"colorLimitz", b"510"), colors)
+    np.testing.assert_array_equal(read(b"colorLimits", b"0"), colors)
+
+
+def test_invalid_colors_of_e57_are_black(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], colors: np.ndarray
+) -> None:
+    pytest.importorskip("pye57")
+    path, invalid = tmp_path / "cloud.e57", np.arange(500) % 3 == 0
+    write_e57(path, cloud[0], colors, intensity=invalid.astype(float))  # pye57 cannot write the field itself
+    path.write_bytes(as_file(content_of(path.read_bytes()).replace(b"<intensity ", b"<isColorInvalid ")))
+    found = read_scan(path, "mm").colors
+    np.testing.assert_array_equal(found, np.where(invalid[:, None], 0, colors))
+
+
+def test_colors_of_a_reference_are_kept(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray], colors: np.ndarray
+) -> None:
+    pytest.importorskip("laspy")
+    trimesh = pytest.importorskip("trimesh")
+    write_las(tmp_path / "cloud.las", *cloud, colors)
+    written = trimesh.load(as_ply(read_scan(tmp_path / "cloud.las", "mm"), tmp_path))
+    np.testing.assert_array_equal(written.colors[:, :3], colors)
 
 
 @pytest.mark.parametrize("name", ["scan.las", "scan.e57"])
@@ -340,7 +439,7 @@ def test_a_scan_may_be_in_spherical_coordinates(tmp_path: Path) -> None:
     writer.write(2)
     writer.close()
     file.close()
-    found, _ = read_scan(tmp_path / "cloud.e57", "m")
+    found, *_ = read_scan(tmp_path / "cloud.e57", "m")
     np.testing.assert_allclose(found, [[2, 0, 0], [0, 3 * 0.75**0.5, 1.5]], atol=1e-12)
 
 
@@ -454,7 +553,7 @@ def test_an_extended_record_of_las_takes_no_memory(tmp_path: Path) -> None:
     content[243:247] = (1).to_bytes(4, "little")
     record = bytes(20) + (1 << 50).to_bytes(8, "little") + bytes(32)
     (tmp_path / "cloud.las").write_bytes(content + record)
-    points, _ = read_scan(tmp_path / "cloud.las", "m")
+    points, *_ = read_scan(tmp_path / "cloud.las", "m")
     assert np.allclose(points, np.arange(3.0)[:, None])
 
 
@@ -476,6 +575,29 @@ def test_a_station_with_a_las_prior_equals_that_with_its_ply(small_station: Path
     refused = malus_station(las_station, "-o", tmp_path / "work")
     assert refused.code == 2
     assert "malus run" in refused.err
+
+
+@pytest.mark.parametrize("name", ["cloud.las", "cloud.e57"])
+def test_colors_of_a_scan_are_compared_with_the_images(tiny_station: Path, tmp_path: Path, name: str) -> None:
+    """As those of the same cloud as a text; only phases were."""
+    pytest.importorskip("laspy" if name.endswith("las") else "pye57")
+
+    def figures() -> list[float]:
+        malus.reconstruct(malus.Station.load(tiny_station), until="evidence", workspace=tmp_path / "work", threads=2)
+        found = {finding["check"]: finding["figures"] for finding in malus.Workspace(tmp_path / "work").findings}
+        return [found["prior"]["color_as_given"], found["contrast"]["contrast"]]
+
+    folder, cloud = tiny_station.parent, cloud_of(tiny_station)
+    points, colors = cloud["xyz"].astype(float), cloud["color"]
+    np.savetxt(folder / "cloud.xyz", np.hstack([points, colors]), "%.6f")
+    if name.endswith("las"):
+        write_las(folder / name, points, np.zeros_like(points), colors)
+    else:
+        write_e57(folder / name, points, colors)
+    edit(tiny_station, "dense/cloud.ply", "cloud.xyz")
+    expected = figures()
+    edit(tiny_station, "cloud.xyz", name)
+    assert figures() == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_archive_has_the_scan_that_the_surface_was_made_from(small_station: Path, tmp_path: Path) -> None:

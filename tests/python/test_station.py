@@ -18,6 +18,7 @@ import tifffile
 from PIL import Image
 
 import malus
+from conftest import cloud_of
 from malus import _core, reconstruction
 from malus import station as tables
 from malus.photogrammetry.control import require_control_points
@@ -203,6 +204,43 @@ def test_priors_given_in_python_equal_that_of_the_station_file(small_station: Pa
         np.testing.assert_allclose(found.prior_sigma, expected.prior_sigma, rtol=1e-4)
 
 
+def test_colors_of_a_prior_given_in_python_are_compared_with_the_images(tiny_station: Path, tmp_path: Path) -> None:
+    of_file, cloud = malus.Station.load(tiny_station), cloud_of(tiny_station)
+    described = of_file.describe()
+    given = described["camera"]
+    camera = malus.Camera(
+        given["model"], given["width"], given["height"], given["params"], given["rotation"], given["translation"]
+    )
+    images = [tifffile.imread(path) for path in sorted((tiny_station.parent / "pol").glob("*.tif"))]
+
+    def run(station: malus.Station, work: Path) -> tuple[str, dict[str, dict[str, Any]]]:
+        """Key of the checks, and what they find."""
+        malus.reconstruct(station, until="evidence", threads=1, workspace=work)
+        workspace = malus.Workspace(work)
+        findings = {finding["check"]: finding for finding in workspace.findings}
+        return workspace.manifest["steps"]["evidence"]["key"], findings
+
+    def of_arrays(colors: np.ndarray | None) -> tuple[str, dict[str, dict[str, Any]]]:
+        station = malus.Station(
+            images, described["angles_deg"], camera, polarized={"white_level": 16383}, frames_averaged=16,
+            full_well_e=20000, read_noise_e=8, prior_points=cloud["xyz"], prior_normals=cloud["normal"], prior_colors=colors,
+        )  # fmt: skip
+        return run(station, tmp_path / "work")
+
+    _, expected = run(of_file, tmp_path / "of_file")
+    key, found = of_arrays(cloud["color"])
+    for check in ("prior", "contrast"):
+        assert found[check]["message"] == expected[check]["message"]
+        assert found[check]["figures"] == pytest.approx(expected[check]["figures"], rel=1e-3, abs=1e-6)
+    changed = cloud["color"].copy()
+    changed[::2] //= 2
+    (darker_key, darker), (bare_key, bare) = of_arrays(changed), of_arrays(None)
+    assert len({key, darker_key, bare_key}) == 3
+    assert darker["prior"]["figures"]["color_as_given"] < found["prior"]["figures"]["color_as_given"]
+    assert "color_as_given" not in bare["prior"]["figures"]
+    assert of_arrays(cloud["color"].astype(float))[0] == key
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -246,6 +284,9 @@ def test_mistakes_are_named_as_in_a_file(pictures: list[np.ndarray], changes: di
     [
         ({"prior_normals": np.zeros((3, 3))}, "without prior_points"),
         ({"prior_points": np.zeros((3, 3)), "prior_normals": np.zeros((2, 3))}, r"prior_normals has shape \(2, 3\)"),
+        ({"prior_colors": np.zeros((3, 3))}, "prior_colors are given without prior_points"),
+        ({"prior_points": np.zeros((3, 3)), "prior_colors": np.zeros((2, 3))}, r"prior_colors has shape \(2, 3\)"),
+        ({"prior_points": np.zeros((3, 3)), "prior_colors": np.full((3, 3), 0.5)}, "prior_colors has values from 0.5"),
         ({"prior_points": np.zeros((3, 3)), "prior": {"mesh": "x.ply"}}, "more than one is given"),
         ({"prior_mesh": (np.zeros((3, 3)), [[0, 1, 3]])}, r"prior_mesh\[1\] has indices from 0 to 3, expected 0 to 2"),
         ({"prior_mesh": np.zeros((4, 3, 3))}, "prior_mesh has 4 parts, expected vertices"),

@@ -18,6 +18,9 @@ constexpr float gradient_floor = 0.005F, bend_floor = 0.01F;
 /// A prior has relief if the logarithms of its bends spread by this much. Clouds and scans have .15 to .6. A sphere has
 /// .04, only from its rim, whose place is that of the mask's outline and not the sphere's.
 constexpr double least_relief = 0.08;
+/// A prior has colors if the logarithms of their brightness spread by this much: rounding spreads those of a single
+/// color by 1e-6, and a step of one channel of 8 bits is 1e-3.
+constexpr double least_contrast = 1e-4;
 
 template <class T>
 std::vector<T> inside(const Image<T>& image, const Mask& pixels) {
@@ -125,10 +128,6 @@ AlignmentCue::AlignmentCue(std::vector<Value> values, std::vector<float> weights
     image_[3 * i + 1] = image_imaginary.empty() ? 0.0F : image_imaginary[i];
     image_[3 * i + 2] = image_weights[i];
   }
-}
-
-bool AlignmentCue::has_template() const {
-  return std::ranges::any_of(values_, [this](const Value& value) { return std::abs(value - values_.front()) > 1e-6F; });
 }
 
 AlignmentCue::Value AlignmentCue::turn_of(const Similarity& moved) const {
@@ -274,14 +273,13 @@ double AlignmentCue::independent_pixels(const TemplatePixels& pixels, const Simi
   return scatter > 0 ? std::clamp(m.var_template * left / scatter, 1.0, static_cast<double>(pixels.count())) : 1;
 }
 
-AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
-  const Image<float> colors = band_inside(prior.brightness, pixels, fine_px, coarse_px);
-  return {real_values(colors, pixels),
-          inside(ones(pixels), pixels),
-          band_inside(scene.brightness, scene.seen, fine_px, coarse_px),
-          {},
-          ones(scene.seen),
-          0};
+std::optional<AlignmentCue> color_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {
+  if (prior.brightness.empty()) return std::nullopt;
+  std::vector<AlignmentCue::Value> colors =
+      real_values(band_inside(prior.brightness, pixels, fine_px, coarse_px), pixels);
+  if (deviation(colors) < least_contrast) return std::nullopt;
+  return AlignmentCue(std::move(colors), inside(ones(pixels), pixels),
+                      band_inside(scene.brightness, scene.seen, fine_px, coarse_px), {}, ones(scene.seen), 0);
 }
 
 AlignmentCue phase_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels) {

@@ -44,9 +44,6 @@ class AlignmentCue {
   AlignmentCue(std::vector<Value> values, std::vector<float> weights, const Image<float>& image_real,
                const Image<float>& image_imaginary, const Image<float>& image_weights, int turns);
 
-  /// Whether the template's values are not all the same.
-  bool has_template() const;
-
   /// Squared correlation of the moved template with the image.
   double correlation2(const TemplatePixels& pixels, const Similarity& moved) const;
 
@@ -82,8 +79,8 @@ class AlignmentCue {
   int turns_;
 };
 
-/// Compares colors of the prior with the image's brightness.
-AlignmentCue color_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels);
+/// Compares colors of the prior with the image's brightness. None for a prior without colors or of a single one.
+std::optional<AlignmentCue> color_cue(const PriorView& prior, const SceneView& scene, const Mask& pixels);
 
 /// Compares azimuths of the prior with phases: exp(4i ·) of both, which is the same for diffuse and specular
 /// reflection.

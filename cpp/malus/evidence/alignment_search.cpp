@@ -33,10 +33,7 @@ AlignmentProblem::AlignmentProblem(const PriorView& prior, const SceneView& scen
   const Mask compared = compared_pixels(prior, scene);
   pixels = template_pixels(compared);
   if (!is_usable()) return;
-  if (!prior.brightness.empty()) {
-    cues[color].emplace(color_cue(prior, scene, compared));
-    if (!cues[color]->has_template()) cues[color].reset();
-  }
+  cues[color] = color_cue(prior, scene, compared);
   cues[phase].emplace(phase_cue(prior, scene, compared));
   cues[edges] = edge_cue(prior, scene, compared);
 }

@@ -92,7 +92,7 @@ def _as_ply(scan: Path, station: malus.Station, args: argparse.Namespace) -> Pat
     """A reference in LAS or E57, written into the workspace for the C++ library. One that cannot be read takes no workspace over."""
     cloud = scans.read_scan(scan, station.unit)
     _core.claim_workspace(str(args.output), station._core, args.replace)
-    return scans.as_ply(*cloud, args.output / "reference")
+    return scans.as_ply(cloud, args.output / "reference")
 
 
 def _pixel(text: str) -> tuple[int, int]:

@@ -46,7 +46,7 @@ def _read_cloud(path: Path, unit: str) -> tuple[Floats, Floats] | None:
     """Points of a station's cloud, a file or a workspace of COLMAP's dense stereo, that have normals, and these unit normals; None if there
     are none.
     """
-    points, normals = scans.read_scan(path, unit) if scans.is_scan(path) else _core.read_oriented_points(str(path))
+    points, normals = scans.read_scan(path, unit)[:2] if scans.is_scan(path) else _core.read_oriented_points(str(path))
     if normals is None:
         return None
     # A normal that is not known is zero. Such a point confirms no other, and would make outliers of the good ones beside it.

@@ -43,7 +43,7 @@ class Reference:
     def read(path: Path, unit: str) -> Reference:
         """PLY, XYZ, LAS or E57. Raises InputError for a file that cannot be read."""
         if scans.is_scan(path):
-            return Reference(scans.read_scan(path, unit)[0], None)
+            return Reference(scans.read_scan(path, unit).points, None)
         return Reference(*_core.read_cloud_or_mesh(str(path)))
 
     def moved(self, rotation: Floats, translation: Floats) -> Reference:

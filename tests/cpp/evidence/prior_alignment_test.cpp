@@ -74,6 +74,22 @@ TEST(PriorAlignment, NormalsOfZeroLengthAreNotKnown) {
   EXPECT_GT(half.object_covered, 0.95);
 }
 
+TEST(PriorAlignment, ASingleColorTellsNothing) {
+  // As scanners without a camera write it. The rounding of dark ones was compared with the images.
+  EvidenceScene scene;
+  scene.cloud.colors.clear();
+  const PriorAlignment without = check(scene, scene.cloud);
+  for (const std::uint8_t level : {0, 1, 7, 255}) {
+    scene.cloud.colors.assign(scene.cloud.points.size(), Rgb{level, level, level});
+    const PriorAlignment found = check(scene, scene.cloud);
+    EXPECT_FALSE(found.color.available) << int(level);
+    EXPECT_EQ(found.finding.text(), without.finding.text()) << int(level);
+  }
+  // Nor does a cloud with a single point of another color.
+  scene.cloud.colors[scene.cloud.colors.size() / 2] = {250, 250, 250};
+  EXPECT_FALSE(check(scene, scene.cloud).color.available);
+}
+
 TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
   const EvidenceScene scene;
   const PriorAlignment shifted = check(scene, scene.moved(motion(-8, 3)));
