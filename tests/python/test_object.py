@@ -876,6 +876,8 @@ def test_reasons_are_given_once_for_all_their_stations() -> None:
         (same, ["a", "b", "c"]),
     ]
     assert page.reasons_of([]) == []
+    unknown = {"a": "a: is bare metal", "b": "b: has no light", "c": "c: is bare metal"}
+    assert page.reasons_without_albedo(unknown) == ["a, c: is bare metal", "b: has no light"]
     # Names of files: what is a number in them is no figure, and they may have any sign.
     named = [f"Images are linear according to their files ({file} and 5 more)." for file in ("#1.tif", "IMG_0012.JPG")]
     other = named[1].replace("0012", "0030")
@@ -1473,6 +1475,17 @@ def test_stations_that_agree_nowhere_contradict_each_other() -> None:
     assert all(np.nanmin(one.ratio) > 4 and np.isfinite(one.ratio[64, 64]) for one in agreements)
     told = warnings_with(views)
     assert len(told) == 2 and all("100 % of its comparisons" in warning for warning in told)
+
+
+def test_the_page_says_how_stations_agree_and_contradict() -> None:
+    def shown(within: float | None, contradicted: float | None) -> str:
+        met = {"within_two_sigma": within, "median_gsd": 0.25, "contradicted_fraction": contradicted}
+        return template("object_agreement.html.j2").render(quality={"agreement": met})
+
+    assert "97.0 % within two standard deviations" in shown(0.97, 0.0) and "of all comparisons" not in shown(0.97, 0.0)
+    assert "this is without the contradictions: 12.3 % of all comparisons" in shown(0.97, 0.123)
+    assert "contradict each other at all of them" in shown(None, 1.0)
+    assert "No surface of one station lies where another has its own" in shown(None, None)
 
 
 def test_stations_that_see_other_places_contradict_nothing(views: list[View]) -> None:

@@ -23,7 +23,10 @@ def compared_with_reference(
     scan = thing.read_reference()
     if scan is None:
         return None, None
-    said: dict[str, Any] = {"file": with_relative_paths(str(thing.reference), thing.folder), "registered": thing.register}
+    said: dict[str, Any] = {
+        "file": with_relative_paths(str(thing.reference), thing.folder),
+        "registered": thing.register,
+    }
     try:
         if thing.register:
             placed = reference.place(scan, views)

@@ -60,7 +60,8 @@ def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     done = [row for row in rows if row["status"] == "done"]
     warnings = []
     for row in done:
-        name, off, contradicted = row["station"], row["agreement"]["rms_ratio"], row["agreement"]["contradicted_fraction"]
+        name, met = row["station"], row["agreement"]
+        off, contradicted = met["rms_ratio"], met["contradicted_fraction"]
         if row["unsure_fraction"] > _MOST_UNSURE:
             warnings.append(
                 f"object: {name}: {100 * row['unsure_fraction']:.0f} % of its surface is left out, because its standard deviation is above "

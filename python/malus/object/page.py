@@ -206,7 +206,7 @@ def _span(ordered: Sequence[str]) -> str:
     return ordered[0] if ordered[0] == ordered[-1] else f"{ordered[0]} to {ordered[-1]}"
 
 
-def _albedo_unknown(unknown: Mapping[str, str]) -> list[str]:
+def reasons_without_albedo(unknown: Mapping[str, str]) -> list[str]:
     """Why the own color of stations is not known: each reason once, after the stations that it applies to."""
     told: dict[str, list[str]] = {}
     for station, reason in unknown.items():
@@ -246,7 +246,7 @@ def write_page(
         shown=partial(shown, unit=quality["unit"]),
         size=sides(quality["mesh"]["extent"], quality["unit"]),
         reasons=reasons_of([row for row in quality["stations"] if row.get("confidence", "high") != "high"]),
-        albedo_unknown=_albedo_unknown(quality["albedo"]["unknown"]),
+        without_albedo=reasons_without_albedo(quality["albedo"]["unknown"]),
         linked=linked,
         version=_core.version,
     )
