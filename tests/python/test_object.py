@@ -1483,7 +1483,7 @@ def test_the_page_says_how_stations_agree_and_contradict() -> None:
         return template("object_agreement.html.j2").render(quality={"agreement": met})
 
     assert "97.0 % within two standard deviations" in shown(0.97, 0.0) and "of all comparisons" not in shown(0.97, 0.0)
-    assert "this is without the contradictions: 12.3 % of all comparisons" in shown(0.97, 0.123)
+    assert "Contradictions are not among these; they are 12.3 % of all comparisons" in shown(0.97, 0.123)
     assert "contradict each other at all of them" in shown(None, 1.0)
     assert "No surface of one station lies where another has its own" in shown(None, None)
 

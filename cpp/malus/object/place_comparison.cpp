@@ -56,10 +56,10 @@ bool contradict_each_other(const ObjectView& view, const Place& place, const Oth
   if (there.apart < 0) return sees_through(other, place, there);
   if (!there.same) return false;
   const Meeting& at = there.at;
-  const Place in_front{place.pixel, at.point, at.normal, at.sigma, at.weight};
+  const Place hiding{place.pixel, at.point, at.normal, at.sigma, at.weight};
   const OtherView self{&view, 1 / square(view.usual_sigma), other.farthest};
-  const auto here = compared(in_front, self);
-  return here && sees_through(self, in_front, *here);
+  const auto here = compared(hiding, self);
+  return here && sees_through(self, hiding, *here);
 }
 
 }  // namespace malus
