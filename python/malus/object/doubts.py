@@ -13,7 +13,7 @@ from malus.workspace import Workspace
 #: Stations that lie off the others by more than this many standard deviations (RMS) get a warning (docs/tutorials/whole-object.md).
 _WORTH_A_WARNING = 2.0
 #: So do stations for which more than this share of the comparisons with others are contradictions. On a rendered figurine with
-#: six stations at most .1 % are (at rims, with either fusion), so that a few percent are no accident.
+#: six stations none are, and at most .1 % with --fusion grid, so that a few percent are no accident.
 _MOST_CONTRADICTED = 0.03
 #: So do stations of whose surface more than this share is too unsure for the mesh.
 _MOST_UNSURE = 1 / 3
