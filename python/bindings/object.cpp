@@ -110,11 +110,11 @@ PointArrays to_arrays(OrientedPoints&& points) {
           std::move(scale)};
 }
 
-using AgreementArrays = std::tuple<std::string, py::object, Array<double>, Array<double>>;
+using AgreementArrays = std::tuple<std::string, py::object, Array<double>, Array<double>, std::size_t>;
 
 AgreementArrays to_arrays(Agreement&& one) {
   return {one.view, to_array(std::move(one.ratio)), moved_to_array<double>(std::move(one.distances)),
-          moved_to_array<double>(std::move(one.expected))};
+          moved_to_array<double>(std::move(one.expected)), one.contradictions};
 }
 
 std::pair<PointArrays, std::vector<AgreementArrays>> to_arrays(CombinedViews&& combined) {
@@ -123,10 +123,10 @@ std::pair<PointArrays, std::vector<AgreementArrays>> to_arrays(CombinedViews&& c
   return {to_arrays(std::move(combined.points)), std::move(agreements)};
 }
 
-py::dict figures_of(const std::vector<std::pair<Array<double>, Array<double>>>& distances, double gsd) {
+py::dict figures_of(const std::vector<std::tuple<Array<double>, Array<double>, std::size_t>>& distances, double gsd) {
   std::vector<Agreement> agreements;
-  for (const auto& [apart, expected] : distances) {
-    agreements.push_back({{}, {}, {apart.data(), apart.data() + apart.size()}, {}});
+  for (const auto& [apart, expected, contradictions] : distances) {
+    agreements.push_back({{}, {}, {apart.data(), apart.data() + apart.size()}, {}, contradictions});
     agreements.back().expected = copied_rows<double>(expected, agreements.back().distances.size());
   }
   return by_fields(agreement_figures(agreements, gsd));

@@ -838,7 +838,7 @@ def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> 
         assert re.fullmatch(r"pair: [\d.]+ × [\d.]+ × [\d.]+ mm, 2 of 2 stations, one pixel is [\d.]+ µm", size)
         assert "triangles, open; 100.0 % of the surface measured" in mesh
         assert f"  report: malus view {output / 'object'}" in outcome.out
-        assert row.count('<td class="n">') == 7, "numbers stand right"
+        assert row.count('<td class="n">') == 8, "numbers stand right"
         assert f"Agreement of {name} with the other stations: 100.0 % of what they see together" in text
 
 
@@ -876,6 +876,8 @@ def test_reasons_are_given_once_for_all_their_stations() -> None:
         (same, ["a", "b", "c"]),
     ]
     assert page.reasons_of([]) == []
+    unknown = {"a": "a: is bare metal", "b": "b: has no light", "c": "c: is bare metal"}
+    assert page.reasons_without_albedo(unknown) == ["a, c: is bare metal", "b: has no light"]
     # Names of files: what is a number in them is no figure, and they may have any sign.
     named = [f"Images are linear according to their files ({file} and 5 more)." for file in ("#1.tif", "IMG_0012.JPG")]
     other = named[1].replace("0012", "0030")
@@ -1111,7 +1113,7 @@ def test_a_turntable_has_masks(turning: Path) -> None:
     edit(turning.parent / "o1/station.toml", 'mask = "mask.png"\n', "")
     photos, stations = Object.load(turning).unmasked()
     assert photos.startswith("turntable: 1 of 3 photos have no mask (1.png): what stands still")
-    assert stations.startswith("turntable: 1 of 2 stations have no mask (") and "o1/station.toml" in stations
+    assert stations.startswith("turntable: 1 of 2 stations have no mask (o1): what stands still")
     edit(turning.parent / "o0/station.toml", 'mask = "mask.png"\n', "")
     with pytest.raises(InputError, match=r"object.toml: object.turntable = true needs masks of the stations"):
         Object.load(turning)
@@ -1422,14 +1424,17 @@ def test_warnings_of_finding_the_stations_come_once(
 
 
 def test_stations_that_others_do_not_confirm_are_told() -> None:
-    def row(name: str, off: float | None, seen: float = 0.5) -> dict[str, Any]:
+    def row(name: str, off: float | None, seen: float = 0.5, contradicted: float | None = None) -> dict[str, Any]:
         return {
-            "station": name, "status": "done", "seen_fraction": seen, "agreement": {"rms_ratio": off}, "unsure_fraction": 0.3,
-            "max_sigma_gsd": 4.0,
+            "station": name, "status": "done", "seen_fraction": seen, "unsure_fraction": 0.3, "max_sigma_gsd": 4.0,
+            "agreement": {"rms_ratio": off, "contradicted_fraction": contradicted},
         }  # fmt: skip
 
     told = doubts_of_stations(
-        [row("good", 1.1), row("off", 3.14), row("apart", None), row("unsure", None, 0.0), {"station": "x", "status": "failed"}]
+        [
+            row("good", 1.1, contradicted=0.01), row("off", 3.14, contradicted=0.0), row("apart", None), row("unsure", None, 0.0),
+            {"station": "x", "status": "failed"},
+        ]
     )  # fmt: skip
     assert [warning.split(": ")[1] for warning in told] == ["off", "apart", "unsure"]
     assert "3.1 standard deviations" in told[0] and "nothing checks its place" in told[1]
@@ -1439,15 +1444,55 @@ def test_stations_that_others_do_not_confirm_are_told() -> None:
     assert (
         "alone: 42 % of its surface is left out" in told_of_one and "above 4 GSD (object.max_sigma_gsd)" in told_of_one
     )
-    # Too far off the others to be taken for the same surface: they count as apart, not as in agreement.
-    views = [
-        sphere_view("off", (1, 0, 0), offset=3.0),
-        *(sphere_view(f"s{k}", axis) for k, axis in enumerate(AXES[2:])),
-    ]
+    # Not told that nothing checks it: all others contradict it.
+    (told_of_one,) = doubts_of_stations([row("good", 1.1, contradicted=0.01), row("wrong", None, contradicted=1.0)])
+    assert told_of_one.startswith("object: wrong: 100 % of its comparisons with other stations are contradictions")
+
+
+def warnings_with(views: list[View]) -> list[str]:
+    """Warnings about stations of these views, all of whose surface is in the mesh."""
+    outcomes = [{"station": view.name, "status": "done", "reason": "", "figures": {}} for view in views]
+    coverage = Coverage(np.ones(len(views)), np.zeros(len(views)))
+    return doubts_of_stations(station_figures(outcomes, views, combine(views)[1], coverage, FAR / FOCAL))
+
+
+@pytest.mark.parametrize("off", [0.5, 1.5, 3.0, 6.0])
+def test_a_station_is_told_to_be_wrong_however_wrong_it_is(off: float) -> None:
+    """What was farther off counted for nothing: the figures of agreement were best where the surface was worst."""
+    views = [sphere_view("a", (1, 0, 0)), sphere_view("b", (1, 0.3, 0)), sphere_view("c", (1, 0, 0.3))]
+    assert warnings_with(views) == []
+    depth = views[2].depth.copy()
+    depth[:, : SIDE // 2] -= off
+    assert any(": c: " in warning for warning in warnings_with([*views[:2], replace(views[2], depth=depth)]))
+
+
+def test_stations_that_agree_nowhere_contradict_each_other() -> None:
+    views = [sphere_view("a", (1, 0, 0)), sphere_view("b", (1, 0.1, 0), offset=3.0)]
     agreements = combine(views)[1]
-    figures = [agreement_figures([agreement], FAR / FOCAL)["rms_ratio"] for agreement in agreements]
-    told = doubts_of_stations([row(view.name, off) for view, off in zip(views, figures, strict=True)])
-    assert [warning.split(": ")[1] for warning in told] == ["off"]
+    figures = agreement_figures(agreements, FAR / FOCAL)
+    assert figures["rms_ratio"] is None and figures["contradicted_fraction"] == 1.0
+    # The maps have them in the last color, and not in gray.
+    assert all(np.nanmin(one.ratio) > 4 and np.isfinite(one.ratio[64, 64]) for one in agreements)
+    told = warnings_with(views)
+    assert len(told) == 2 and all("100 % of its comparisons" in warning for warning in told)
+
+
+def test_the_page_says_how_stations_agree_and_contradict() -> None:
+    def shown(within: float | None, contradicted: float | None) -> str:
+        met = {"within_two_sigma": within, "median_gsd": 0.25, "contradicted_fraction": contradicted}
+        return template("object_agreement.html.j2").render(quality={"agreement": met})
+
+    assert "97.0 % within two standard deviations" in shown(0.97, 0.0) and "of all comparisons" not in shown(0.97, 0.0)
+    assert "Contradictions are not among these; they are 12.3 % of all comparisons" in shown(0.97, 0.123)
+    assert "contradict each other at all of them" in shown(None, 1.0)
+    assert "No surface of one station lies where another has its own" in shown(None, None)
+
+
+def test_stations_that_see_other_places_contradict_nothing(views: list[View]) -> None:
+    """A place on the far side is hidden by the sphere."""
+    assert warnings_with(views) == []
+    assert [one.contradictions for one in combine(views)[1]] == [0] * len(views)
+    assert agreement_figures(combine(views[:2])[1], FAR / FOCAL)["contradicted_fraction"] is None
 
 
 def test_agreement_with_a_station_counts_pixels_of_the_object() -> None:

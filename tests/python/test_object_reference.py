@@ -175,6 +175,7 @@ def test_a_scan_that_lies_anywhere_is_compared_and_shown(pair: Path, monkeypatch
     quality = json.loads((output / "object/quality.json").read_text())
     found = quality["reference"]
     assert found["status"] == "done" and found["registered"] and found["correlation"] > 0.7
+    assert found["file"] == "scan.ply" and str(pair.parent) not in (output / "object/quality.json").read_text()
     assert found["absolute_median_gsd"] < 1 and found["within_1_gsd"] > 0.6
     assert {"reference/o0.png", "reference/o1.png", "reference/registered.ply"} <= set(quality["files"])
     back = _core.read_points(str(output / "object/reference/registered.ply"))

@@ -59,9 +59,10 @@ void OrientedPoints::validate() const {
 
 AgreementFigures agreement_figures(std::span<const Agreement> agreements, double gsd) {
   double ratios2 = 0, distances2 = 0;
-  std::size_t within = 0;
+  std::size_t within = 0, contradictions = 0;
   std::vector<double> distances;
   for (const Agreement& agreement : agreements) {
+    contradictions += agreement.contradictions;
     for (std::size_t i = 0; i < agreement.distances.size(); ++i) {
       const double ratio = agreement.distances[i] / agreement.expected[i];
       ratios2 += square(ratio);
@@ -70,10 +71,15 @@ AgreementFigures agreement_figures(std::span<const Agreement> agreements, double
       distances.push_back(std::abs(agreement.distances[i]));
     }
   }
-  if (distances.empty()) return {};
-  const auto count = static_cast<double>(distances.size());
-  return {std::sqrt(ratios2 / count), static_cast<double>(within) / count, std::sqrt(distances2 / count) / gsd,
-          percentile_in_place(distances, 0.5) / gsd};
+  const auto count = static_cast<double>(distances.size()), contradicted = static_cast<double>(contradictions);
+  AgreementFigures figures;
+  if (count + contradicted > 0) figures.contradicted_fraction = contradicted / (count + contradicted);
+  if (distances.empty()) return figures;
+  figures.rms_ratio = std::sqrt(ratios2 / count);
+  figures.within_two_sigma = static_cast<double>(within) / count;
+  figures.rms_gsd = std::sqrt(distances2 / count) / gsd;
+  figures.median_gsd = percentile_in_place(distances, 0.5) / gsd;
+  return figures;
 }
 
 CombinedViews combine(std::span<const ObjectView> views, const OrientedPoints& cloud, const Context& context) {

@@ -34,18 +34,24 @@ struct OrientedPoints {
 /// Distances of the other stations' surfaces from the surface of one station, along this station's normals.
 struct Agreement {
   std::string view;
-  Image<float> ratio;  ///< RMS of distance over its stated standard deviation; NaN where no other station measured
+  /// RMS of distance over its stated standard deviation, or the largest one that contradicts the place; NaN where no
+  /// other station measured.
+  Image<float> ratio;
   std::vector<double> distances;  ///< single ones; if there are millions, only those of every n-th pixel
   std::vector<double> expected;   ///< their standard deviations
+  /// How many others there are at these pixels that contradict the place: surfaces more than twelve standard deviations
+  /// apart, one of which is seen through by the station of the other.
+  std::size_t contradictions = 0;
 };
 
-/// Over all places that two stations see; none if there are none.
+/// Over all places that two stations see; none if there are none. Contradictions count in their share alone.
 struct AgreementFigures {
   std::optional<double> rms_ratio;         ///< RMS of distance over standard deviation
   std::optional<double> within_two_sigma;  ///< share
   std::optional<double> rms_gsd, median_gsd;
+  std::optional<double> contradicted_fraction;  ///< share of contradictions in these and the distances
 
-  MALUS_FIELDS(rms_ratio, within_two_sigma, rms_gsd, median_gsd)
+  MALUS_FIELDS(rms_ratio, within_two_sigma, rms_gsd, median_gsd, contradicted_fraction)
 };
 
 AgreementFigures agreement_figures(std::span<const Agreement> agreements, double gsd);

@@ -6,6 +6,16 @@
 #include "malus/object/place_comparison_internal.h"
 
 namespace malus {
+namespace {
+
+/// Whether the other view, whose surface lies there, would see the place if it existed, but sees what is behind it.
+bool sees_through(const OtherView& other, const Place& place, const PlaceComparison& there) {
+  // Nearer than `farthest`, the other cannot tell whether the place is on its surface.
+  const double least = std::max(contradicting_ratio * there.spread(place), other.farthest);
+  return -there.apart > least && facing(*other.view, place.point, place.normal) > least_cosine;
+}
+
+}  // namespace
 
 std::vector<Place> places_of(const ObjectView& view, std::size_t begin, std::size_t end) {
   const std::size_t width = static_cast<std::size_t>(view.camera.size.width);
@@ -39,6 +49,17 @@ std::optional<PlaceComparison> compared(const Place& place, const OtherView& oth
   const double apart = at->off(place.point) / std::max(parallel, least_facing);
   const bool same = parallel > least_facing && facing(*other.view, place.point, place.normal) > least_cosine;
   return PlaceComparison{*at, apart, same, same && std::abs(apart) < other.farthest};
+}
+
+bool contradict_each_other(const ObjectView& view, const Place& place, const OtherView& other,
+                           const PlaceComparison& there) {
+  if (there.apart < 0) return sees_through(other, place, there);
+  if (!there.same) return false;
+  const Meeting& at = there.at;
+  const Place hiding{place.pixel, at.point, at.normal, at.sigma, at.weight};
+  const OtherView self{&view, 1 / square(view.usual_sigma), other.farthest};
+  const auto here = compared(hiding, self);
+  return here && sees_through(self, hiding, *here);
 }
 
 }  // namespace malus

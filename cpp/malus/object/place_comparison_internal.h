@@ -1,11 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <span>
 #include <vector>
 
+#include "malus/object/oriented_points_internal.h"
 #include "malus/object/view.h"
 #include "malus/object/view_lookup_internal.h"
 
@@ -28,6 +30,10 @@ struct OtherView {
   double farthest;          ///< surfaces farther apart are not the same
 };
 
+/// No error of one surface is so many standard deviations large: two that are farther apart contradict each other, if
+/// both should see what is nearer.
+inline constexpr double contradicting_ratio = 3 * most_ratio;
+
 /// All views but number `which`.
 std::vector<OtherView> others_of(std::span<const ObjectView> views, std::size_t which);
 
@@ -39,8 +45,16 @@ struct PlaceComparison {
   bool near;     ///< whether they are the same surface
 
   double weight(const OtherView& other) const { return at.weight * other.inverse_variance; }
+  /// Standard deviation of the distance from this place.
+  double spread(const Place& place) const { return std::hypot(place.sigma, at.sigma); }
 };
 
 std::optional<PlaceComparison> compared(const Place& place, const OtherView& other);
+
+/// Whether a view and the other one cannot both be right about a place of the view: the other sees through the place,
+/// or has a surface in front of it that the view sees through. A surface in front that the view cannot see merely hides
+/// the place.
+bool contradict_each_other(const ObjectView& view, const Place& place, const OtherView& other,
+                           const PlaceComparison& there);
 
 }  // namespace malus

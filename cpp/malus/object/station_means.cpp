@@ -24,6 +24,9 @@ constexpr double surer = 1.5;
 /// Distance of another view's surface from a place, and its standard deviation.
 struct Distance {
   double apart, expected;
+
+  double ratio() const { return std::abs(apart) / expected; }
+  bool contradicts() const { return !(ratio() < contradicting_ratio); }
 };
 
 /// The mean of a place over the view that it belongs to and others that are added.
@@ -37,22 +40,27 @@ class PlaceMean {
     normal_ = own_ * place.normal;
   }
 
-  /// The distance of the other's surface if it counts for the agreement.
+  /// The distance of the other's surface if it counts for the agreement, or contradicts the place.
   std::optional<Distance> add(const OtherView& other) {
     const auto there = compared(place_, other);
     if (!there) return {};
     const Meeting& at = there->at;
     // Another station may only exclude a point that it sees at a better angle.
-    if (!there->near && at.weight > place_.cosine && in_front(*other.view, at, most_ratio)) contradicted_ = true;
+    if (!there->near && at.weight > place_.cosine && in_front(*other.view, at, most_ratio)) excluded_ = true;
     if (there->near) {
       ++stations_;
       if (!is_finer(view_, place_.cosine, *other.view, at.weight)) average(*there, there->weight(other));
     }
-    const double spread = std::hypot(place_.sigma, at.sigma);
-    if (!there->same || !(std::abs(there->apart) < 3 * most_ratio * spread)) return {};
-    squares_ += square(there->apart / spread);
-    ++compared_;
-    return Distance{there->apart, spread};
+    const Distance distance{there->apart, there->spread(place_)};
+    if (distance.contradicts()) {
+      if (!contradict_each_other(view_, place_, other, *there)) return {};
+      farthest_ = std::max(farthest_, distance.ratio());
+    } else {
+      if (!there->same) return {};
+      squares_ += square(distance.ratio());
+      ++compared_;
+    }
+    return distance;
   }
 
   /// Moves and turns the place with the surface about it, as far as views with larger pixels ask for it.
@@ -65,11 +73,12 @@ class PlaceMean {
   }
 
   float ratio() const {
+    if (farthest_ > 0) return static_cast<float>(farthest_);
     return compared_ > 0 ? static_cast<float>(std::sqrt(squares_ / compared_))
                          : std::numeric_limits<float>::quiet_NaN();
   }
-  /// Whether no other view contradicts the point or sees it better.
-  bool is_kept() const { return !contradicted_ && surer * own_ >= best_; }
+  /// Whether no other view sees through the point or sees it better.
+  bool is_kept() const { return !excluded_ && surer * own_ >= best_; }
   bool is_believed() const { return stations_ > 1 || place_.cosine > least_cosine_alone; }
 
   void append_to(OrientedPoints& points) const {
@@ -96,8 +105,8 @@ class PlaceMean {
   double cosines_, stated_;                // sums of the viewing angles' cosines, and of these over stated variances
   Eigen::Vector3d normal_;
   std::uint16_t stations_ = 1;
-  bool contradicted_ = false;
-  double squares_ = 0;
+  bool excluded_ = false;
+  double squares_ = 0, farthest_ = 0;  // of distances over their standard deviations: sum of squares, contradiction
   int compared_ = 0;
 };
 
@@ -112,13 +121,19 @@ std::size_t distance_step(const ObjectView& view, std::size_t others) {
 struct MeansOfBlock {
   OrientedPoints believed, doubtful;
   std::vector<Distance> distances;
+  std::size_t contradictions = 0;
 
   void add(const ObjectView& view, const Place& place, const std::vector<OtherView>& others,
            const CoarserViews& coarser, bool with_distances, float& ratio) {
     PlaceMean mean(view, place);
     for (const OtherView& other : others) {
       const auto distance = mean.add(other);
-      if (distance && with_distances) distances.push_back(*distance);
+      if (!distance || !with_distances) continue;
+      if (distance->contradicts()) {
+        ++contradictions;
+      } else {
+        distances.push_back(*distance);
+      }
     }
     if (!coarser.empty()) mean.add(coarser);
     ratio = mean.ratio();
@@ -158,6 +173,7 @@ StationMeans station_means(std::span<const ObjectView> views, std::size_t which,
   for (MeansOfBlock& block : blocks) {
     believed.push_back(std::move(block.believed));
     doubtful.push_back(std::move(block.doubtful));
+    means.agreement.contradictions += block.contradictions;
     for (const auto& [apart, expected] : block.distances) {
       means.agreement.distances.push_back(apart);
       means.agreement.expected.push_back(expected);

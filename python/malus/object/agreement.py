@@ -56,14 +56,17 @@ class OrientedPoints:
 class Agreement:
     """Distances of the other stations' surfaces from the surface of one station, along this station's normals.
 
-    view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, NaN where no other station measured.
-    distances, expected: N each, single distances and their standard deviations; if there are millions, only those of every n-th pixel.
+    view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, or the largest one that contradicts the
+    place; NaN where no other station measured. distances, expected: N each, single distances and their standard deviations; if there are
+    millions, only those of every n-th pixel. contradictions: how many others there are at these pixels that contradict the place:
+    surfaces more than twelve standard deviations apart, one of which is seen through by the station of the other.
     """
 
     view: str
     ratio: Singles
     distances: Floats
     expected: Floats
+    contradictions: int
 
 
 def combine(
@@ -115,8 +118,9 @@ def agreements_of(views: Sequence[View], *, threads: int = ALL_CORES) -> Iterato
 
 
 def agreement_figures(agreements: Sequence[Agreement], gsd: float) -> dict[str, float | None]:
-    """RMS of distance over standard deviation, share within two standard deviations, and RMS and median distance in GSD.
+    """RMS of distance over standard deviation, share within two standard deviations, RMS and median distance in GSD, and the share of
+    contradictions (`contradicted_fraction`), which count in none of the others.
 
     Over all places that two stations see; None if there are none.
     """
-    return _core.agreement_figures([(agreement.distances, agreement.expected) for agreement in agreements], gsd)
+    return _core.agreement_figures([(one.distances, one.expected, one.contradictions) for one in agreements], gsd)

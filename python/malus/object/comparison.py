@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from malus._files import with_relative_paths
 from malus.errors import DataError
 from malus.object import page, reference
 from malus.object.definition import Object
@@ -22,7 +23,10 @@ def compared_with_reference(
     scan = thing.read_reference()
     if scan is None:
         return None, None
-    said: dict[str, Any] = {"file": str(thing.reference), "registered": thing.register}
+    said: dict[str, Any] = {
+        "file": with_relative_paths(str(thing.reference), thing.folder),
+        "registered": thing.register,
+    }
     try:
         if thing.register:
             placed = reference.place(scan, views)

@@ -210,8 +210,8 @@ class Object:
         return max(0, sum(self._masked_stations().values()) - 1) if self.turntable else 0
 
     def _masked_stations(self) -> dict[str, bool]:
-        """Whether each station has a mask, by its file."""
-        return {str(path): _has_mask(self.campaign.station(path).describe()) for path in self.campaign.stations}
+        """Whether each station has a mask, by its name in folders and tables."""
+        return {task.identifier: _has_mask(task.load().describe()) for task in self.campaign.tasks(Path(), ALL_CORES)}
 
     def planned_surface(self, plans: Sequence[Mapping[str, Any]]) -> tuple[str, float]:
         """What a run makes of the finished stations, and its expected seconds. plans: of the stations, from `check`."""

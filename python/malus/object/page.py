@@ -31,7 +31,7 @@ from malus.viewer import pack
 
 #: Longest sides of the texture and of a station's map in the page (pixels).
 _TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
-#: Distances of this many standard deviations or more have the last color of the map.
+#: Distances of this many standard deviations or more, and so contradictions, have the last color of the map.
 _MOST_RATIO = 4.0
 #: Gray value of pixels without data, and the margin that is left around the pixels with data, as a share of their extent.
 _NOTHING, _ROOM = 128, 0.05
@@ -53,7 +53,9 @@ def colors_of(shares: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def write_maps(folder: Path, agreements: Sequence[Agreement]) -> list[Path]:
-    """A PNG for each station: RMS of the other stations' distances over their standard deviation, blue 0 to red 4."""
+    """A PNG for each station: RMS of the other stations' distances over their standard deviation, blue 0 to red 4, which are
+    contradictions, too.
+    """
     return [_write_map(folder, one.view, one.ratio / _MOST_RATIO) for one in agreements]
 
 
@@ -204,6 +206,14 @@ def _span(ordered: Sequence[str]) -> str:
     return ordered[0] if ordered[0] == ordered[-1] else f"{ordered[0]} to {ordered[-1]}"
 
 
+def reasons_without_albedo(unknown: Mapping[str, str]) -> list[str]:
+    """Why the own color of stations is not known: each reason once, after the stations that it applies to."""
+    told: dict[str, list[str]] = {}
+    for station, reason in unknown.items():
+        told.setdefault(reason.removeprefix(f"{station}: "), []).append(station)
+    return [f"{', '.join(stations)}: {reason}" for reason, stations in told.items()]
+
+
 def _other_warnings(quality: Mapping[str, Any]) -> list[str]:
     """The warnings that do not repeat a reason for their station's confidence."""
     reasons = {row["station"]: row.get("reasons", "") for row in quality["stations"]}
@@ -236,6 +246,7 @@ def write_page(
         shown=partial(shown, unit=quality["unit"]),
         size=sides(quality["mesh"]["extent"], quality["unit"]),
         reasons=reasons_of([row for row in quality["stations"] if row.get("confidence", "high") != "high"]),
+        without_albedo=reasons_without_albedo(quality["albedo"]["unknown"]),
         linked=linked,
         version=_core.version,
     )

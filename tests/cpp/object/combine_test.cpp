@@ -18,6 +18,7 @@
 namespace malus {
 namespace {
 
+using views::exact_station;
 using views::plane_station;
 using views::sphere_station;
 using views::Station;
@@ -129,6 +130,72 @@ TEST(Combine, StationsThatDisagreeMeetInTheMiddle) {
   EXPECT_EQ(first.view, "a");
   EXPECT_NEAR(first.ratio(64, 64), std::sqrt(2), 0.05);
   EXPECT_TRUE(std::isnan(first.ratio(0, 0)));
+}
+
+double contradicted_fraction(const Agreement& agreement) {
+  return agreement_figures({&agreement, 1}, 1).contradicted_fraction.value();
+}
+
+TEST(Combine, StationsThatSeeThroughEachOtherSaySo) {
+  std::vector<Station> stations{sphere_station("a", {1, 0, 0}), sphere_station("b", {1, 0.3, 0}),
+                                sphere_station("c", {1, 0, 0.3})};
+  for (const Agreement& agreement : combine(views_of(stations), {}, {}).agreements) {
+    EXPECT_EQ(contradicted_fraction(agreement), 0) << agreement.view;
+  }
+  // Half of one station is 15 GSD too near.
+  Image<float>& depth = stations[2].surface.depth;
+  for_each_pixel(depth.size(), [&](int u, int v) { depth(u, v) -= u < 64 ? 3 : 0; });
+  const std::vector<Agreement> agreements = combine(views_of(stations), {}, {}).agreements;
+  EXPECT_GT(contradicted_fraction(agreements[2]), 0.35);
+  // These have one good neighbor and one that is half wrong.
+  EXPECT_GT(contradicted_fraction(agreements[0]), 0.1);
+  EXPECT_GT(contradicted_fraction(agreements[1]), 0.1);
+  EXPECT_GT(agreements[2].ratio(50, 64), 12);
+  EXPECT_LT(agreements[2].ratio(80, 64), 1);
+}
+
+TEST(Combine, StationsThatAgreeNowhereStillMeet) {
+  const std::vector<Station> stations{sphere_station("a", {1, 0, 0}), sphere_station("b", {1, 0.1, 0}, 3)};
+  const CombinedViews combined = combine(views_of(stations), {}, {});
+  const AgreementFigures figures = agreement_figures(combined.agreements, 0.2);
+  EXPECT_FALSE(figures.rms_ratio.has_value());
+  EXPECT_EQ(figures.contradicted_fraction, 1.0);
+  for (const Agreement& agreement : combined.agreements) {
+    EXPECT_GT(agreement.contradictions, 1000u);
+    EXPECT_NEAR(agreement.ratio(64, 64), 3 / (std::sqrt(2) * views::sphere_sigma), 1);
+  }
+  EXPECT_FALSE(agreement_figures({}, 1).contradicted_fraction.has_value());
+}
+
+/// The plane z = 0 from above (x, 0), and on it a block of this height whose wall is x = 0.
+Station block_station(std::string name, double x, double height) {
+  const Pinhole camera{{128, 64}, 60, 60, 63.5, 31.5};
+  Pose pose;
+  pose.rotation = Eigen::Vector3d(1, -1, -1).asDiagonal();
+  pose.translation = -pose.rotation * Eigen::Vector3d(x, 0, 60);
+  const auto depth_of = [=](const Eigen::Vector3d& ray) {
+    if (x + (60 - height) * ray.x() > 0) return 60 - height;
+    return x + 60 * ray.x() > 0 ? -x / ray.x() : 60;
+  };
+  const auto normal_of = [=](const Eigen::Vector3d& point) -> Eigen::Vector3d {
+    const bool on_wall = point.z() > 1e-6 && point.z() < height - 1e-6;
+    return on_wall ? Eigen::Vector3d(-Eigen::Vector3d::UnitX()) : Eigen::Vector3d::UnitZ();
+  };
+  return exact_station(std::move(name), camera, pose, 0.3, depth_of, normal_of);
+}
+
+TEST(Combine, WhatIsHiddenIsNotContradicted) {
+  // The right station sees neither the wall nor the 10 pixels of the ground beside it.
+  std::vector<Station> stations{block_station("left", -20, 20), block_station("right", 20, 20)};
+  for (const Agreement& agreement : combine(views_of(stations), {}, {}).agreements) {
+    EXPECT_GT(agreement.distances.size(), 1000u);
+    EXPECT_EQ(agreement.contradictions, 0u) << agreement.view;
+  }
+  stations[0] = block_station("left", -20, 0);
+  for (const Agreement& agreement : combine(views_of(stations), {}, {}).agreements) {
+    EXPECT_GT(contradicted_fraction(agreement), 0.2) << agreement.view << " where only one has the block";
+    EXPECT_LT(contradicted_fraction(agreement), 0.8) << agreement.view;
+  }
 }
 
 TEST(StationMeans, KeepsNoMoreDistancesForMoreOverlaps) {
