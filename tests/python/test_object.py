@@ -76,7 +76,7 @@ from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
 from malus.pages import template
-from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
+from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, exclusive, front_end
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras, save_cameras
@@ -773,7 +773,8 @@ def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkey
         {"station": "o0", "status": "done", "reason": "", "manifest": "1"},
         {"station": "o1", "status": "failed", "reason": "pol_030.tif: is no image"},
     ]
-    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    for name in ("run_campaign", "outcomes_of"):
+        monkeypatch.setattr(object_run.batch, name, lambda *_, **__: outcomes)
     monkeypatch.setattr(object_run, "_fuse", fail)
     with pytest.raises(DataError) as caught:
         run_object(Object.load(pair), pair.parent / "out")
@@ -799,10 +800,126 @@ def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatc
     for name in ("quality.json", "mesh.ply", "mesh.glb", "report/index.html"):
         (folder / name).write_text("earlier")
     outcomes = [{"station": "o0", "status": "failed", "reason": "pol_030.tif: is no image", "exit_code": 2}]
-    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    for name in ("run_campaign", "outcomes_of"):
+        monkeypatch.setattr(object_run.batch, name, lambda *_, **__: outcomes)
     with pytest.raises(InputError, match="1 of 1 stations failed"):
         run_object(Object.load(pair), pair.parent / "out")
     assert [path.name for path in folder.iterdir()] == ["lock"]
+
+
+def done_by_hand(monkeypatch: pytest.MonkeyPatch, outcomes: list[Any], ran: Callable[..., None]) -> list[list[Any]]:
+    """Lets `ran` stand for the run of the stations, and a record for the surface; returns the outcomes that surfaces were made of."""
+    made: list[list[Any]] = []
+
+    def campaign(*_: Any, **__: Any) -> list[Any]:
+        ran()
+        return list(outcomes)
+
+    def fuse(_: Any, used: list[Any], frame: Any, folder: Path, key: str, *__: Any) -> None:
+        made.append(list(used))
+        (folder / "mesh.ply").write_text(key)
+        write_record(folder / "quality.json", {"key": key, "files": {}})
+
+    monkeypatch.setattr(object_run.batch, "run_campaign", campaign)
+    monkeypatch.setattr(object_run.batch, "outcomes_of", lambda *_, **__: list(outcomes))
+    monkeypatch.setattr(object_run, "_fuse", fuse)
+    return made
+
+
+def outcome_of(name: str, status: str = "done", **more: Any) -> dict[str, Any]:
+    return {"station": name, "file": f"{name}/station.toml", "status": status, "reason": "", "exit_code": 0} | more
+
+
+@pytest.mark.parametrize("change", ["option", "result", "nothing"])
+def test_no_earlier_surface_stays_where_a_run_is_interrupted(
+    pair: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    """After a change it looked like the result of the run that was interrupted."""
+    outcomes = [outcome_of(name, manifest="1") for name in ("o0", "o1")]
+    made = done_by_hand(monkeypatch, outcomes, lambda: None)
+    run_object(Object.load(pair), pair.parent / "out")
+    assert len(made) == 1
+    if change == "option":
+        outcomes[1] = outcome_of("o1", "pending")
+    if change == "result":
+        outcomes[1]["manifest"] = "2"
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    done_by_hand(monkeypatch, outcomes, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_object(Object.load(pair), pair.parent / "out")
+    assert (pair.parent / "out/object/mesh.ply").exists() == (change == "nothing")
+
+
+def test_an_interrupted_search_for_cameras_leaves_no_surface_of_other_photos(
+    with_surface: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(object_run, "find_frame", interrupted)
+    for stays in (True, False):
+        with pytest.raises(KeyboardInterrupt):
+            run_object(Object.load(with_surface), with_surface.parent / "out")
+        assert (with_surface.parent / "out/object/mesh.ply").exists() == stays
+        Image.new("L", (96, 64), 90).save(with_surface.parent / "views/1.png")
+
+
+def meanwhile(folder: Path, act: Callable[[], None]) -> threading.Thread:
+    """Holds the object's folder as another shard does that makes the surface; `act` is what it does before it lets go."""
+    held = threading.Event()
+
+    def hold() -> None:
+        with exclusive(folder):
+            held.set()
+            time.sleep(0.3)
+            act()
+
+    other = threading.Thread(target=hold)
+    other.start()
+    held.wait()
+    return other
+
+
+@pytest.mark.parametrize("by_other", ["made", "ran"])
+def test_shards_that_end_together_wait_for_each_other(
+    pair: Path, monkeypatch: pytest.MonkeyPatch, by_other: str
+) -> None:
+    """The second one failed. If it had run a failed station again, the first one's surface was removed, too."""
+    folder = pair.parent / "out/object"
+    outcomes = [outcome_of("o0", manifest="1"), outcome_of("o1", "failed", reason="no light", exit_code=2)]
+    others: list[threading.Thread] = []
+
+    def act() -> None:
+        if by_other == "ran":
+            outcomes[1] = outcome_of("o1", manifest="1")
+        else:
+            object_run._fuse(None, outcomes, None, folder, object_run._key(Object.load(pair), outcomes, None))
+
+    made = done_by_hand(monkeypatch, outcomes, lambda: others.append(meanwhile(folder, act)))
+    told = run_object(Object.load(pair), pair.parent / "out")
+    others[0].join()
+    assert made == [outcomes] == [told]
+    # Another one that begins while the surface is made does not take it for an earlier one.
+    others.append(meanwhile(folder, lambda: None))
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: list(outcomes))
+    run_object(Object.load(pair), pair.parent / "out")
+    others[1].join()
+    assert len(made) == 1
+
+
+def test_a_station_that_fails_again_as_before_changes_no_surface(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    thing = Object.load(pair)
+    before = [outcome_of("o0", manifest="1", seconds=1.0), outcome_of("o1", "failed", reason="no light", seconds=2.0)]
+    after = [*before[:1], {**before[1], "seconds": 3.0}]
+    monkeypatch.setattr(object_run.batch, "outcomes_of", lambda *_: after)
+    key = object_run._key(thing, before, None)
+    object_run._require_unchanged(thing, before, None, pair.parent / "out/object", key)
+    after[1] = {**after[1], "reason": "no lens"}
+    with pytest.raises(InputError, match="o1/station.toml: its files or results were changed"):
+        object_run._require_unchanged(thing, before, None, pair.parent / "out/object", key)
 
 
 def require_gone(pair: Path, output: Path) -> None:
