@@ -655,6 +655,9 @@ def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
         ("faces = 3000", "faces = inf", "object.faces = 'Infinity', expected a number"),
         ("closed = false", 'texture_format = "png"', "object.texture_format = 'png', expected 'webp' or 'jpeg'"),
         ("closed = false", 'unit = "m"', "station.unit = 'mm', expected 'm'"),
+        ('name = "pair"', 'name = ""', "object.name = '', expected a text"),
+        ('"o0/station.toml"', '"*.toml"', "object.stations: no file matches '*.toml'"),
+        ('"o0/station.toml"', '"object.toml"', "object.toml: is an object file, expected a station file"),
     ],
 )
 def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: str) -> None:
@@ -1047,6 +1050,9 @@ def test_check_lists_every_station(pair: Path) -> None:
     outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
     assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
+    times = r"(\d+) s one after another\n  surface: [^\n]*: (\d+) s\nexpected: about (\d+) s in all\n"
+    stations, surface, total = map(int, re.search(times, outcome.out).groups())  # type: ignore[union-attr]
+    assert abs(stations + surface - total) <= 1 <= total
     for name in ("o0", "o1"):
         assert f"station {name} (small): " in outcome.out
     told = json.loads(malus_here("check", pair, "--json", "--threads", "1").out)
@@ -1069,6 +1075,23 @@ def test_check_names_every_station_that_cannot_be_run(pair: Path) -> None:
     outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
     assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2))
+
+
+def test_check_names_every_station_whose_file_cannot_be_read(pair: Path) -> None:
+    for k in range(2):
+        (pair.parent / f"o{k}/pol/pol_0{3 * (k + 1)}0.tif").unlink()
+    outcome = malus_here("check", pair, "--threads", "1")
+    assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
+    assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2)), outcome.err
+
+
+def test_station_files_beside_the_objects_own_match_a_glob(pair: Path) -> None:
+    """The object's file was read as one of the stations."""
+    for k in range(2):
+        shutil.copytree(pair.parent / f"o{k}", pair.parent, dirs_exist_ok=True)
+        (pair.parent / "station.toml").rename(pair.parent / f"o{k}.toml")
+    edit(pair, '"o0/station.toml", "o1/station.toml"', '"*.toml"')
+    assert [path.name for path in Object.load(pair).campaign.stations] == ["o0.toml", "o1.toml"]
 
 
 def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1406,6 +1429,14 @@ def test_stations_may_leave_out_the_photos_of_their_object(photographed: Path) -
     assert again.describe() == task.load().describe()
     edit(photographed.parent / "o1/station.toml", "40.0]", "40.0]\nqvec = [1, 0, 0, 0]\ntvec = [0, 0, 0]")
     with pytest.raises(InputError, match=r"o1/station.toml: \[camera\] has a pose"):
+        Object.load(photographed)
+
+
+def test_a_prior_beside_the_photos_of_an_object_is_named(photographed: Path) -> None:
+    """The station's pose was said to be missing, which the photos give."""
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]')
+    edit(photographed.parent / "o1/station.toml", '[photos]\nfolder = "../views"', '[prior]\ncloud = "dense/cloud.ply"')
+    with pytest.raises(InputError, match=r"o1/station.toml: has a \[prior\], but .*object.toml has \[photos\]"):
         Object.load(photographed)
 
 
