@@ -65,7 +65,8 @@ from malus.object import frame as object_frame
 from malus.object import run as object_run
 from malus.object.agreement import agreements_of, object_points
 from malus.object.albedo import Albedos
-from malus.object.clouds import _read_cloud, clouds_of
+from malus.object.cloud_file import read_cloud
+from malus.object.clouds import clouds_of
 from malus.object.doubts import doubts_of_stations, warnings_of
 from malus.object.figures import is_closed, mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame, key_of_photos
@@ -727,10 +728,14 @@ def recorded(path: Path, record: dict[str, Any]) -> None:
     write_record(path, record)
 
 
+def comments_of(output: Path) -> set[str]:
+    header = (output / "object/mesh.ply").read_bytes().split(b"end_header", 1)[0].decode()
+    return {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+
+
 def require_statements(output: Path) -> None:
     """What the meshes state: the catalog entries of the stations, and how far each can be trusted."""
-    header = (output / "object/mesh.ply").read_bytes().split(b"end_header", 1)[0].decode()
-    comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+    comments = comments_of(output)
     confidence = json.loads((output / "stations/o0/quality.json").read_text())["confidence"]
     trusted = " ".join([confidence["level"], *confidence["reasons"]])
     assert {"title: Relief & label", "identifier: X 1907.4", "unit: mm", f"confidence of o0: {trusted}"} <= comments
@@ -759,6 +764,7 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     assert "o1" in outcome.err and "pol_030.tif" in outcome.err and "Traceback" not in outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert quality["warnings"][-1].startswith("o1: is not in the surface: polarized image o1/pol/")
+    assert f"warning 1: {quality['warnings'][-1]}" in comments_of(output)
     assert str(pair.parent) in outcome.err and str(pair.parent) not in json.dumps(quality["stations"])
     assert [row["status"] for row in quality["stations"]] == ["done", "failed"]
     assert (output / "object/mesh.ply").is_file()
@@ -1563,7 +1569,7 @@ def test_warnings_of_finding_the_stations_come_once(
     monkeypatch.setattr(doubts, "Workspace", Reported)
     outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
     outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
-    said = warnings_of(outcomes, ["a lens is doubtful"], True, Object.load(pair), pair.parent, None)
+    said = warnings_of(outcomes, ["a lens is doubtful"], pair.parent)
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip
@@ -1602,7 +1608,7 @@ def test_agreement_with_a_station_counts_pixels_of_the_object() -> None:
     views = [sphere_view("a", (1, 0, 0)), replace(sphere_view("b", (1, 0.1, 0), offset=0.1), gsd=0.25)]
     agreements = combine(views)[1]
     outcomes = [{"station": view.name, "status": "done", "reason": "", "figures": {}} for view in views]
-    rows = station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2)), 0.4)
+    rows = station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2), np.ones(9, np.uint8)), 0.4)
     for row, met in zip(rows, agreements, strict=True):
         assert row["agreement"]["median_gsd"] == pytest.approx(np.median(np.abs(met.distances)) / 0.4)
 
@@ -1721,7 +1727,8 @@ def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatc
     def cloud() -> OrientedPoints:
         thing = Object.load(pair)
         files = [{"station": path.parent.name, "file": str(path)} for path in thing.campaign.stations]
-        (found,) = clouds_of(thing, files, pair.parent, gsd, 1)
+        (found,), warnings = clouds_of(thing, files, pair.parent, gsd, 1)
+        assert warnings == []
         return found
 
     gsd = 1e9
@@ -1760,12 +1767,34 @@ def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> N
         folder.mkdir(parents=True)
         channels = 1 if values.ndim == 2 else 3
         (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
-    read = _read_cloud(tmp_path, "mm")
+    read = read_cloud(tmp_path, "mm")
     assert read is not None
     points, normals = read
     assert points.shape == (24, 3)
     np.testing.assert_allclose(points[:, 2], 5)
     np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)
+
+
+def test_clouds_without_normals_are_told(pair: Path) -> None:
+    """Places that no station sees were left open without a word. What the object's surface lacks stands in its files, too."""
+    for k in range(2):
+        write_ply(pair.parent / f"o{k}/dense/cloud.ply", bare_cloud(pair.parent / f"o{k}/dense/cloud.ply"), None)
+    plans = Object.load(pair).check(threads=1)
+    for k, plan in enumerate(plans):
+        assert any(f"cloud o{k}/dense/cloud.ply has no normals: " in warning for warning in plan["warnings"])
+    outcome = malus_here("object", pair, "-o", "out", "--threads", "1", "--quiet")
+    assert outcome.code == 0, outcome.err
+    told = json.loads(Path("out/object/quality.json").read_text())["warnings"]
+    own = [warning for warning in told if warning.startswith("object: cloud ")]
+    assert len(own) == 2 and "o0/dense/cloud.ply has no normals" in own[0] and f"warning: {own[0]}" in outcome.err
+    assert {f"warning {k}: {warning}" for k, warning in enumerate(own, start=1)} <= comments_of(Path("out"))
+    # A cloud that stations share is named once.
+    edit(pair.parent / "o1/station.toml", "dense/cloud.ply", "../o0/dense/cloud.ply")
+    assert "has no normals" not in " ".join(Object.load(pair).check(threads=1)[1]["warnings"])
+
+
+def bare_cloud(path: Path) -> dict[str, Any]:
+    return columns("xyz", _core.read_oriented_points(str(path))[0], "f8")
 
 
 def test_points_without_a_normal_do_not_count_against_those_beside_them(views: list[View], tmp_path: Path) -> None:
@@ -1778,12 +1807,12 @@ def test_points_without_a_normal_do_not_count_against_those_beside_them(views: l
     for places, given in ((half, half), (normals, np.where((np.arange(len(normals)) % 2 == 0)[:, None], normals, 0))):
         axes = columns("xyz", RADIUS * places, "f8") | columns(("nx", "ny", "nz"), given, "f4")
         write_ply(tmp_path / "cloud.ply", axes, None)
-        cloud = _read_cloud(tmp_path / "cloud.ply", "mm")
+        cloud = read_cloud(tmp_path / "cloud.ply", "mm")
         assert cloud is not None
         read.append(object_points(views[:5], [stereo(*cloud)]))
     assert (read[0].stations == 0).sum() > 500 and (read[1].points == read[0].points).all()
     write_ply(tmp_path / "cloud.ply", axes | columns(("nx", "ny", "nz"), 0 * normals, "f4"), None)
-    assert _read_cloud(tmp_path / "cloud.ply", "mm") is None
+    assert read_cloud(tmp_path / "cloud.ply", "mm") is None
 
 
 def test_stations_none_of_which_is_sure_enough_are_no_surface(views: list[View]) -> None:

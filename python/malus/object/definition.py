@@ -14,6 +14,7 @@ from malus._files import resolved
 from malus._toml import read_toml
 from malus.campaign import Campaign, options_of, read_tables, require_kind, stations_of, value_of
 from malus.errors import InputError, MalusError, error_of
+from malus.object.cloud_file import read_cloud, without_normals
 from malus.object.reference import Reference
 from malus.object.texture import require_packages
 from malus.options import Options
@@ -188,10 +189,17 @@ class Object:
         settings = options or self.campaign.options
         plans: list[dict[str, Any]] = []
         failed: dict[str, MalusError] = {}
+        clouds: set[str] = set()
         for task in self.campaign.tasks(Path(), threads):
             try:
-                plan = check(task.load(), settings, cameras_known=self.shared is not None, threads=threads)
+                station = task.load()
+                plan = check(station, settings, cameras_known=self.shared is not None, threads=threads)
                 plans.append({"station": task.identifier, **plan})
+                cloud = station.describe().get("prior_cloud")
+                if cloud is not None and cloud not in clouds:
+                    clouds.add(cloud)
+                    if read_cloud(Path(cloud), self.unit) is None:
+                        plan["warnings"].append(without_normals(cloud, self.folder))
             except MalusError as error:
                 failed[task.identifier] = error
         if failed:

@@ -26,13 +26,13 @@ from malus.object.clouds import clouds_of
 from malus.object.color import Paint
 from malus.object.comparison import compared_with_reference, write_comparison
 from malus.object.definition import Object
-from malus.object.doubts import doubts_of_stations, left_out, warnings_of
+from malus.object.doubts import doubts_of_object, left_out, warnings_of
 from malus.object.figures import mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame, key_of_photos, with_warnings
 from malus.object.glb import write_levels
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
-from malus.object.mesh_file import write_mesh
+from malus.object.mesh_file import coverage_of, write_mesh
 from malus.object.meshing import MOST_TO_SIMPLIFY, ObjectMesh
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import load_view, stored
@@ -106,13 +106,23 @@ def run_object(
         progress=station_ended,
     )  # fmt: skip
     # Stations of other shards are pending; the shard that ends last makes the surface.
-    if _any_pending(outcomes):
-        return outcomes
+    return outcomes if _any_pending(outcomes) else _joined(thing, folder, frame, photos, threads or ALL_CORES, say)
+
+
+def _joined(
+    thing: Object,
+    folder: Path,
+    frame: Frame | None,
+    photos: str | None,
+    threads: int,
+    say: Callable[[str, float, str], None],
+) -> list[Outcome]:
+    """Make the surface of the finished stations, unless it is made; returns the outcomes of all stations."""
     found = [] if frame is None else frame.warnings
     # If two shards end at once, one makes the surface, and the other one finds it made.
     with exclusive(folder, wait=True):
         # Another shard may have run a station again, with another result, while this one waited.
-        outcomes = batch.outcomes_of(thing.campaign, output, cameras)
+        outcomes = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
         if _any_pending(outcomes):
             return outcomes
         done = [outcome for outcome in outcomes if outcome["status"] == "done"]
@@ -125,7 +135,7 @@ def run_object(
             _clear(folder)
             try:
                 _fuse(
-                    thing, outcomes, frame, folder, key, photos, threads or ALL_CORES,
+                    thing, outcomes, frame, folder, key, photos, threads,
                     lambda share, message: say("object", share, message),
                 )  # fmt: skip
             except BaseException as error:
@@ -228,9 +238,8 @@ def _fuse(
             stored(view, scratch / "sharpened" / view.name, ("depth", "normals"))
             for view in sharpened(views, told, threads=threads)
         ]
-        everything = agreement.object_points(
-            views, clouds_of(thing, done, folder.parent, gsd, threads), threads=threads
-        )
+        clouds, bare = clouds_of(thing, done, folder.parent, gsd, threads)
+        everything = agreement.object_points(views, clouds, threads=threads)
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", most_sigma)
         if thing.closed:
@@ -241,15 +250,17 @@ def _fuse(
         albedos = Albedos.of(views, folder.parent / "stations", scratch / "albedo")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
-        said = said_of_object(thing, done, folder.parent, gsd)
-        coverage = write_mesh(folder / "mesh.ply", mesh, paint, said, scratch)
-        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
         comparison, compared = compared_with_reference(thing, mesh, views, gsd, threads)
-        files += write_comparison(folder, comparison, mesh, views, gsd, thing)
-        files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
         shown = _for_others(outcomes, thing.folder)
+        coverage = coverage_of(mesh, views, scratch)
         stations = station_figures(shown, views, agreements, coverage, gsd)
+        doubts = doubts_of_object(stations, figures["closed"], thing, compared, bare)
+        said = said_of_object(thing, done, folder.parent, gsd, [*left_out(shown), *doubts])
+        write_mesh(folder / "mesh.ply", mesh, paint, coverage.stations, said, scratch)
+        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
+        files += write_comparison(folder, comparison, mesh, views, gsd, thing)
+        files += page.write_maps(folder / "agreement", agreements)
         found = [] if frame is None else frame.warnings
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "photos_key": photos, "gsd": gsd, "stations": stations,
@@ -257,7 +268,7 @@ def _fuse(
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": warnings_of(shown, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
+            "warnings": warnings_of(shown, found, folder.parent) + doubts,
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
