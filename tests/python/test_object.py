@@ -897,7 +897,7 @@ def test_shards_that_end_together_wait_for_each_other(
     pair: Path, monkeypatch: pytest.MonkeyPatch, by_other: str
 ) -> None:
     """The second one failed. If it had run a failed station again, the first one's surface was removed, too."""
-    folder = pair.parent / "out/object"
+    thing, folder = Object.load(pair), pair.parent / "out/object"
     outcomes = [outcome_of("o0", manifest="1"), outcome_of("o1", "failed", reason="no light", exit_code=2)]
     others: list[threading.Thread] = []
 
@@ -905,16 +905,17 @@ def test_shards_that_end_together_wait_for_each_other(
         if by_other == "ran":
             outcomes[1] = outcome_of("o1", manifest="1")
         else:
-            object_run._fuse(None, outcomes, None, folder, object_run._key(Object.load(pair), outcomes, None))
+            key = object_run._key(thing, outcomes, None)
+            object_run._fuse(thing, outcomes, None, folder, key, None, 1, lambda *_: None)
 
     made = done_by_hand(monkeypatch, outcomes, lambda: others.append(meanwhile(folder, act)))
-    told = run_object(Object.load(pair), pair.parent / "out")
+    told = run_object(thing, pair.parent / "out")
     others[0].join()
     assert made == [outcomes] == [told]
     # Another one that begins while the surface is made does not take it for an earlier one.
     others.append(meanwhile(folder, lambda: None))
     monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: list(outcomes))
-    run_object(Object.load(pair), pair.parent / "out")
+    run_object(thing, pair.parent / "out")
     others[1].join()
     assert len(made) == 1
 
