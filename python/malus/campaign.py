@@ -243,7 +243,7 @@ def options_of(file: Path, content: Mapping[str, Any]) -> Options:
 
 
 def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, ...]:
-    """The station files in the key `stations` of a table: paths or globs relative to the file."""
+    """The station files in the key `stations` of a table: paths or globs relative to the file, which is itself no match of a glob."""
     patterns = table.get("stations")
     if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
         said = f"= {patterns!r}" if "stations" in table else "is missing"
@@ -252,7 +252,8 @@ def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, 
     for pattern in patterns:
         # A file's own name is no pattern, even with brackets: "Bust [copy]/station.toml".
         if glob.has_magic(pattern) and not os.path.exists(file.parent / pattern):
-            matches = sorted(matching(file.parent, pattern, f"{file}: {name}.stations"))
+            found_by = matching(file.parent, pattern, f"{file}: {name}.stations")
+            matches = sorted(match for match in found_by if resolved(match) != resolved(file))
             if not matches:
                 raise InputError(f"{file}: {name}.stations: no file matches {pattern!r}")
         else:

@@ -65,7 +65,8 @@ from malus.object import frame as object_frame
 from malus.object import run as object_run
 from malus.object.agreement import agreements_of, object_points
 from malus.object.albedo import Albedos
-from malus.object.clouds import _read_cloud, clouds_of
+from malus.object.cloud_file import read_cloud
+from malus.object.clouds import clouds_of
 from malus.object.doubts import doubts_of_stations, warnings_of
 from malus.object.figures import is_closed, mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame, key_of_photos
@@ -76,7 +77,7 @@ from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
 from malus.object.views import load_view, stored
 from malus.pages import template
-from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, front_end
+from malus.photogrammetry import Outline, RegisteredImage, SparseModel, StationCameras, exclusive, front_end
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras, save_cameras
@@ -655,6 +656,9 @@ def test_meshes_are_written_as_they_are_read(tmp_path: Path) -> None:
         ("faces = 3000", "faces = inf", "object.faces = 'Infinity', expected a number"),
         ("closed = false", 'texture_format = "png"', "object.texture_format = 'png', expected 'webp' or 'jpeg'"),
         ("closed = false", 'unit = "m"', "station.unit = 'mm', expected 'm'"),
+        ('name = "pair"', 'name = ""', "object.name = '', expected a text"),
+        ('"o0/station.toml"', '"*.toml"', "object.stations: no file matches '*.toml'"),
+        ('"o0/station.toml"', '"object.toml"', "object.toml: is an object file, expected a station file"),
     ],
 )
 def test_object_files_that_are_wrong(pair: Path, old: str, new: str, expected: str) -> None:
@@ -724,10 +728,14 @@ def recorded(path: Path, record: dict[str, Any]) -> None:
     write_record(path, record)
 
 
+def comments_of(output: Path) -> set[str]:
+    header = (output / "object/mesh.ply").read_bytes().split(b"end_header", 1)[0].decode()
+    return {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+
+
 def require_statements(output: Path) -> None:
     """What the meshes state: the catalog entries of the stations, and how far each can be trusted."""
-    header = (output / "object/mesh.ply").read_bytes().split(b"end_header", 1)[0].decode()
-    comments = {line.removeprefix("comment ") for line in header.splitlines() if line.startswith("comment ")}
+    comments = comments_of(output)
     confidence = json.loads((output / "stations/o0/quality.json").read_text())["confidence"]
     trusted = " ".join([confidence["level"], *confidence["reasons"]])
     assert {"title: Relief & label", "identifier: X 1907.4", "unit: mm", f"confidence of o0: {trusted}"} <= comments
@@ -756,6 +764,7 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     assert "o1" in outcome.err and "pol_030.tif" in outcome.err and "Traceback" not in outcome.err
     quality = json.loads((output / "object/quality.json").read_text())
     assert quality["warnings"][-1].startswith("o1: is not in the surface: polarized image o1/pol/")
+    assert f"warning 1: {quality['warnings'][-1]}" in comments_of(output)
     assert str(pair.parent) in outcome.err and str(pair.parent) not in json.dumps(quality["stations"])
     assert [row["status"] for row in quality["stations"]] == ["done", "failed"]
     assert (output / "object/mesh.ply").is_file()
@@ -773,7 +782,8 @@ def test_an_error_of_the_surface_hides_no_station_that_failed(pair: Path, monkey
         {"station": "o0", "status": "done", "reason": "", "manifest": "1"},
         {"station": "o1", "status": "failed", "reason": "pol_030.tif: is no image"},
     ]
-    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    for name in ("run_campaign", "outcomes_of"):
+        monkeypatch.setattr(object_run.batch, name, lambda *_, **__: outcomes)
     monkeypatch.setattr(object_run, "_fuse", fail)
     with pytest.raises(DataError) as caught:
         run_object(Object.load(pair), pair.parent / "out")
@@ -799,10 +809,127 @@ def test_no_earlier_surface_stays_where_all_stations_fail(pair: Path, monkeypatc
     for name in ("quality.json", "mesh.ply", "mesh.glb", "report/index.html"):
         (folder / name).write_text("earlier")
     outcomes = [{"station": "o0", "status": "failed", "reason": "pol_030.tif: is no image", "exit_code": 2}]
-    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: outcomes)
+    for name in ("run_campaign", "outcomes_of"):
+        monkeypatch.setattr(object_run.batch, name, lambda *_, **__: outcomes)
     with pytest.raises(InputError, match="1 of 1 stations failed"):
         run_object(Object.load(pair), pair.parent / "out")
     assert [path.name for path in folder.iterdir()] == ["lock"]
+
+
+def done_by_hand(monkeypatch: pytest.MonkeyPatch, outcomes: list[Any], ran: Callable[..., None]) -> list[list[Any]]:
+    """Lets `ran` stand for the run of the stations, and a record for the surface; returns the outcomes that surfaces were made of."""
+    made: list[list[Any]] = []
+
+    def campaign(*_: Any, **__: Any) -> list[Any]:
+        ran()
+        return list(outcomes)
+
+    def fuse(_: Any, used: list[Any], frame: Any, folder: Path, key: str, *__: Any) -> None:
+        made.append(list(used))
+        (folder / "mesh.ply").write_text(key)
+        write_record(folder / "quality.json", {"key": key, "files": {}})
+
+    monkeypatch.setattr(object_run.batch, "run_campaign", campaign)
+    monkeypatch.setattr(object_run.batch, "outcomes_of", lambda *_, **__: list(outcomes))
+    monkeypatch.setattr(object_run, "_fuse", fuse)
+    return made
+
+
+def outcome_of(name: str, status: str = "done", **more: Any) -> dict[str, Any]:
+    return {"station": name, "file": f"{name}/station.toml", "status": status, "reason": "", "exit_code": 0} | more
+
+
+@pytest.mark.parametrize("change", ["option", "result", "nothing"])
+def test_no_earlier_surface_stays_where_a_run_is_interrupted(
+    pair: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    """After a change it looked like the result of the run that was interrupted."""
+    outcomes = [outcome_of(name, manifest="1") for name in ("o0", "o1")]
+    made = done_by_hand(monkeypatch, outcomes, lambda: None)
+    run_object(Object.load(pair), pair.parent / "out")
+    assert len(made) == 1
+    if change == "option":
+        outcomes[1] = outcome_of("o1", "pending")
+    if change == "result":
+        outcomes[1]["manifest"] = "2"
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    done_by_hand(monkeypatch, outcomes, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_object(Object.load(pair), pair.parent / "out")
+    assert (pair.parent / "out/object/mesh.ply").exists() == (change == "nothing")
+
+
+def test_an_interrupted_search_for_cameras_leaves_no_surface_of_other_photos(
+    with_surface: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(object_run, "find_frame", interrupted)
+    for stays in (True, False):
+        with pytest.raises(KeyboardInterrupt):
+            run_object(Object.load(with_surface), with_surface.parent / "out")
+        assert (with_surface.parent / "out/object/mesh.ply").exists() == stays
+        Image.new("L", (96, 64), 90).save(with_surface.parent / "views/1.png")
+
+
+def meanwhile(folder: Path, act: Callable[[], None]) -> threading.Thread:
+    """Holds the object's folder as another shard does that makes the surface; `act` is what it does before it lets go."""
+    held = threading.Event()
+
+    def hold() -> None:
+        with exclusive(folder):
+            held.set()
+            time.sleep(0.3)
+            act()
+
+    other = threading.Thread(target=hold)
+    other.start()
+    held.wait()
+    return other
+
+
+@pytest.mark.parametrize("by_other", ["made", "ran"])
+def test_shards_that_end_together_wait_for_each_other(
+    pair: Path, monkeypatch: pytest.MonkeyPatch, by_other: str
+) -> None:
+    """The second one failed. If it had run a failed station again, the first one's surface was removed, too."""
+    thing, folder = Object.load(pair), pair.parent / "out/object"
+    outcomes = [outcome_of("o0", manifest="1"), outcome_of("o1", "failed", reason="no light", exit_code=2)]
+    others: list[threading.Thread] = []
+
+    def act() -> None:
+        if by_other == "ran":
+            outcomes[1] = outcome_of("o1", manifest="1")
+        else:
+            key = object_run._key(thing, outcomes, None)
+            object_run._fuse(thing, outcomes, None, folder, key, None, 1, lambda *_: None)
+
+    made = done_by_hand(monkeypatch, outcomes, lambda: others.append(meanwhile(folder, act)))
+    told = run_object(thing, pair.parent / "out")
+    others[0].join()
+    assert made == [outcomes] == [told]
+    # Another one that begins while the surface is made does not take it for an earlier one.
+    others.append(meanwhile(folder, lambda: None))
+    monkeypatch.setattr(object_run.batch, "run_campaign", lambda *_, **__: list(outcomes))
+    run_object(thing, pair.parent / "out")
+    others[1].join()
+    assert len(made) == 1
+
+
+def test_a_station_that_fails_again_as_before_changes_no_surface(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    thing = Object.load(pair)
+    before = [outcome_of("o0", manifest="1", seconds=1.0), outcome_of("o1", "failed", reason="no light", seconds=2.0)]
+    after = [*before[:1], {**before[1], "seconds": 3.0}]
+    monkeypatch.setattr(object_run.batch, "outcomes_of", lambda *_: after)
+    key = object_run._key(thing, before, None)
+    object_run._require_unchanged(thing, before, None, pair.parent / "out/object", key)
+    after[1] = {**after[1], "reason": "no lens"}
+    with pytest.raises(InputError, match="o1/station.toml: its files or results were changed"):
+        object_run._require_unchanged(thing, before, None, pair.parent / "out/object", key)
 
 
 def require_gone(pair: Path, output: Path) -> None:
@@ -932,6 +1059,9 @@ def test_check_lists_every_station(pair: Path) -> None:
     outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 0, outcome.err
     assert "object pair: 2 stations" in outcome.out and "surface: one open mesh" in outcome.out
+    times = r"(\d+) s one after another\n  surface: [^\n]*: (\d+) s\nexpected: about (\d+) s in all\n"
+    stations, surface, total = map(int, re.search(times, outcome.out).groups())  # type: ignore[union-attr]
+    assert abs(stations + surface - total) <= 1 <= total
     for name in ("o0", "o1"):
         assert f"station {name} (small): " in outcome.out
     told = json.loads(malus_here("check", pair, "--json", "--threads", "1").out)
@@ -954,6 +1084,23 @@ def test_check_names_every_station_that_cannot_be_run(pair: Path) -> None:
     outcome = malus_here("check", pair, "--threads", "1")
     assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
     assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2))
+
+
+def test_check_names_every_station_whose_file_cannot_be_read(pair: Path) -> None:
+    for k in range(2):
+        (pair.parent / f"o{k}/pol/pol_0{3 * (k + 1)}0.tif").unlink()
+    outcome = malus_here("check", pair, "--threads", "1")
+    assert outcome.code == 2 and "2 of 2 stations cannot be run" in outcome.err
+    assert all(re.search(rf"o{k}: .*pol_0{3 * (k + 1)}0.tif", outcome.err) for k in range(2)), outcome.err
+
+
+def test_station_files_beside_the_objects_own_match_a_glob(pair: Path) -> None:
+    """The object's file was read as one of the stations."""
+    for k in range(2):
+        shutil.copytree(pair.parent / f"o{k}", pair.parent, dirs_exist_ok=True)
+        (pair.parent / "station.toml").rename(pair.parent / f"o{k}.toml")
+    edit(pair, '"o0/station.toml", "o1/station.toml"', '"*.toml"')
+    assert [path.name for path in Object.load(pair).campaign.stations] == ["o0.toml", "o1.toml"]
 
 
 def test_check_says_what_would_end_the_run_after_its_stations(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1294,6 +1441,14 @@ def test_stations_may_leave_out_the_photos_of_their_object(photographed: Path) -
         Object.load(photographed)
 
 
+def test_a_prior_beside_the_photos_of_an_object_is_named(photographed: Path) -> None:
+    """The station's pose was said to be missing, which the photos give."""
+    edit(photographed, "[options]", '[photos]\nfolder = "views"\n[options]')
+    edit(photographed.parent / "o1/station.toml", '[photos]\nfolder = "../views"', '[prior]\ncloud = "dense/cloud.ply"')
+    with pytest.raises(InputError, match=r"o1/station.toml: has a \[prior\], but .*object.toml has \[photos\]"):
+        Object.load(photographed)
+
+
 def test_control_points_of_stations_count_together(photographed: Path) -> None:
     in_stations(photographed, point("both"))
     in_stations(photographed, point("first") + point("seen", pixel="[7, 8]"), 0)
@@ -1417,7 +1572,7 @@ def test_warnings_of_finding_the_stations_come_once(
     monkeypatch.setattr(doubts, "Workspace", Reported)
     outcomes = [{"station": name, "status": "done"} for name in ("o0", "o1")]
     outcomes.append({"station": "o2", "status": "failed", "reason": "no light"})
-    said = warnings_of(outcomes, ["a lens is doubtful"], True, Object.load(pair), pair.parent, None)
+    said = warnings_of(outcomes, ["a lens is doubtful"], pair.parent)
     assert said == [
         "photos: a lens is doubtful", "o0: fuse: o0 is dark", "o1: fuse: o1 is dark", "o2: is not in the surface: no light"
     ]  # fmt: skip
@@ -1499,7 +1654,7 @@ def test_agreement_with_a_station_counts_pixels_of_the_object() -> None:
     views = [sphere_view("a", (1, 0, 0)), replace(sphere_view("b", (1, 0.1, 0), offset=0.1), gsd=0.25)]
     agreements = combine(views)[1]
     outcomes = [{"station": view.name, "status": "done", "reason": "", "figures": {}} for view in views]
-    rows = station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2)), 0.4)
+    rows = station_figures(outcomes, views, agreements, Coverage(np.ones(2), np.zeros(2), np.ones(9, np.uint8)), 0.4)
     for row, met in zip(rows, agreements, strict=True):
         assert row["agreement"]["median_gsd"] == pytest.approx(np.median(np.abs(met.distances)) / 0.4)
 
@@ -1618,7 +1773,8 @@ def test_clouds_are_as_large_as_known_distances_make_them(pair: Path, monkeypatc
     def cloud() -> OrientedPoints:
         thing = Object.load(pair)
         files = [{"station": path.parent.name, "file": str(path)} for path in thing.campaign.stations]
-        (found,) = clouds_of(thing, files, pair.parent, gsd, 1)
+        (found,), warnings = clouds_of(thing, files, pair.parent, gsd, 1)
+        assert warnings == []
         return found
 
     gsd = 1e9
@@ -1657,12 +1813,34 @@ def test_a_cloud_may_be_a_workspace_of_colmaps_dense_stereo(tmp_path: Path) -> N
         folder.mkdir(parents=True)
         channels = 1 if values.ndim == 2 else 3
         (folder / "a.jpg.geometric.bin").write_bytes(f"6&4&{channels}&".encode() + values.astype("<f4").tobytes())
-    read = _read_cloud(tmp_path, "mm")
+    read = read_cloud(tmp_path, "mm")
     assert read is not None
     points, normals = read
     assert points.shape == (24, 3)
     np.testing.assert_allclose(points[:, 2], 5)
     np.testing.assert_allclose(normals, np.tile([0, 0, -1], (24, 1)), atol=1e-6)
+
+
+def test_clouds_without_normals_are_told(pair: Path) -> None:
+    """Places that no station sees were left open without a word. What the object's surface lacks stands in its files, too."""
+    for k in range(2):
+        write_ply(pair.parent / f"o{k}/dense/cloud.ply", bare_cloud(pair.parent / f"o{k}/dense/cloud.ply"), None)
+    plans = Object.load(pair).check(threads=1)
+    for k, plan in enumerate(plans):
+        assert any(f"cloud o{k}/dense/cloud.ply has no normals: " in warning for warning in plan["warnings"])
+    outcome = malus_here("object", pair, "-o", "out", "--threads", "1", "--quiet")
+    assert outcome.code == 0, outcome.err
+    told = json.loads(Path("out/object/quality.json").read_text())["warnings"]
+    own = [warning for warning in told if warning.startswith("object: cloud ")]
+    assert len(own) == 2 and "o0/dense/cloud.ply has no normals" in own[0] and f"warning: {own[0]}" in outcome.err
+    assert {f"warning {k}: {warning}" for k, warning in enumerate(own, start=1)} <= comments_of(Path("out"))
+    # A cloud that stations share is named once.
+    edit(pair.parent / "o1/station.toml", "dense/cloud.ply", "../o0/dense/cloud.ply")
+    assert "has no normals" not in " ".join(Object.load(pair).check(threads=1)[1]["warnings"])
+
+
+def bare_cloud(path: Path) -> dict[str, Any]:
+    return columns("xyz", _core.read_oriented_points(str(path))[0], "f8")
 
 
 def test_points_without_a_normal_do_not_count_against_those_beside_them(views: list[View], tmp_path: Path) -> None:
@@ -1675,12 +1853,12 @@ def test_points_without_a_normal_do_not_count_against_those_beside_them(views: l
     for places, given in ((half, half), (normals, np.where((np.arange(len(normals)) % 2 == 0)[:, None], normals, 0))):
         axes = columns("xyz", RADIUS * places, "f8") | columns(("nx", "ny", "nz"), given, "f4")
         write_ply(tmp_path / "cloud.ply", axes, None)
-        cloud = _read_cloud(tmp_path / "cloud.ply", "mm")
+        cloud = read_cloud(tmp_path / "cloud.ply", "mm")
         assert cloud is not None
         read.append(object_points(views[:5], [stereo(*cloud)]))
     assert (read[0].stations == 0).sum() > 500 and (read[1].points == read[0].points).all()
     write_ply(tmp_path / "cloud.ply", axes | columns(("nx", "ny", "nz"), 0 * normals, "f4"), None)
-    assert _read_cloud(tmp_path / "cloud.ply", "mm") is None
+    assert read_cloud(tmp_path / "cloud.ply", "mm") is None
 
 
 def test_stations_none_of_which_is_sure_enough_are_no_surface(views: list[View]) -> None:

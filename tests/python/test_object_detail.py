@@ -29,7 +29,7 @@ from malus.object.agreement import object_points
 from malus.object.figures import mesh_figures
 from malus.object.implicit import _edge_number, exact_vertices, pixel_side
 from malus.object.levels import FINEST, Cube, Levels, _crossings, refined
-from malus.object.mesh_file import write_mesh
+from malus.object.mesh_file import coverage_of
 from malus.object.meshing import edges_of, face_normals
 from malus.object.reference import Reference
 from malus.object.sharpening import sharpened
@@ -260,7 +260,7 @@ def test_figures_count_all_of_the_surface_alike(fine: ObjectMesh, near: View, tm
     middle = np.abs(fine.vertices[fine.triangles].mean(1)[:, :2]).max(1) < 8
     share = area[middle].sum() / area.sum()
     paint = Paint.of([*FAR, near], fine.vertices, fine.normals)
-    seen = write_mesh(tmp_path / "mesh.ply", fine, paint, {}, tmp_path).seen
+    seen = coverage_of(fine, paint.views, tmp_path).seen
     assert seen[3] == pytest.approx(share, rel=0.15)
     assert 0.7 < seen[0] < 0.9
     # Most vertices, but little of the surface, are those of the near station, which is surer.

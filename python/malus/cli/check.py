@@ -27,21 +27,19 @@ def check_inputs(args: argparse.Namespace) -> None:
         thing = Object.load(args.station)
         plans = thing.check(options_of(args, thing.campaign.options), threads=args.threads)
         surface, surface_seconds = thing.planned_surface(plans)
-        seconds = sum(plan["seconds"] for plan in plans)
+        stations_seconds = sum(plan["seconds"] for plan in plans)
+        seconds = stations_seconds + surface_seconds
         if args.json:
             said = {"does": surface, "seconds": surface_seconds}
-            print(
-                json.dumps(
-                    {"name": thing.name, "stations": plans, "surface": said, "seconds": seconds + surface_seconds}
-                )
-            )
+            print(json.dumps({"name": thing.name, "stations": plans, "surface": said, "seconds": seconds}))
             return
         if args.quiet:
             _print_warnings(*plans)
             return
-        print(f"object {thing.name}: {len(plans)} stations, {seconds:.0f} s one after another")
-        print_lines(f"  {surface}")
-        print(f"expected: about {surface_seconds:.0f} s")
+        count = "1 station" if len(plans) == 1 else f"{len(plans)} stations"
+        print(f"object {thing.name}: {count}, {stations_seconds:.0f} s one after another")
+        print_lines(f"  {surface}: {surface_seconds:.0f} s")
+        print(f"expected: about {seconds:.0f} s in all")
         for plan in plans:
             _print_plan(plan)
         return

@@ -12,8 +12,9 @@ from typing import Any
 from malus import _core, photogrammetry
 from malus._files import resolved
 from malus._toml import read_toml
-from malus.campaign import Campaign, options_of, read_tables, stations_of, value_of
+from malus.campaign import Campaign, options_of, read_tables, require_kind, stations_of, value_of
 from malus.errors import InputError, MalusError, error_of
+from malus.object.cloud_file import read_cloud, without_normals
 from malus.object.reference import Reference
 from malus.object.texture import require_packages
 from malus.options import Options
@@ -115,13 +116,16 @@ class Object:
         textures = value("texture_format", _TEXTURE_FORMATS[0])
         if textures not in _TEXTURE_FORMATS:
             raise InputError(f"{file}: object.texture_format = {textures!r}, expected 'webp' or 'jpeg'")
+        name = value("name", file.stem)
+        if not name:
+            raise InputError(f"{file}: object.name = '', expected a text, or no name for that of the file")
         files = stations_of(file, "object", table)
         own = _own_photos(file) if "photos" in content else None
         campaign = Campaign(
-            value("name", file.stem), files, options_of(file, content), value("report", True),
+            name, files, options_of(file, content), value("report", True),
             None if own is None else Path(os.path.abspath(file)),
         )  # fmt: skip
-        stations = {path: campaign.station(path).describe() for path in files}
+        stations = _described(campaign)
         unit = _common_unit(file, stations, value("unit", ""))
         shared = _shared(file, content, stations) if own is None else _own(file, own, stations)
         _require_one_frame(stations, from_photos=shared is not None)
@@ -185,10 +189,17 @@ class Object:
         settings = options or self.campaign.options
         plans: list[dict[str, Any]] = []
         failed: dict[str, MalusError] = {}
+        clouds: set[str] = set()
         for task in self.campaign.tasks(Path(), threads):
             try:
-                plan = check(task.load(), settings, cameras_known=self.shared is not None, threads=threads)
+                station = task.load()
+                plan = check(station, settings, cameras_known=self.shared is not None, threads=threads)
                 plans.append({"station": task.identifier, **plan})
+                cloud = station.describe().get("prior_cloud")
+                if cloud is not None and cloud not in clouds:
+                    clouds.add(cloud)
+                    if read_cloud(Path(cloud), self.unit) is None:
+                        plan["warnings"].append(without_normals(cloud, self.folder))
             except MalusError as error:
                 failed[task.identifier] = error
         if failed:
@@ -219,6 +230,27 @@ class Object:
         if self.reference is not None:
             does += f", compared with {self.reference.name}"
         return does, _SURFACE_SECONDS_PER_MPX * 1e-6 * sum(plan["width"] * plan["height"] for plan in plans)
+
+
+def _described(campaign: Campaign) -> dict[Path, Mapping[str, Any]]:
+    """What `Station.describe` says of the stations, by their files. The error lists all stations whose files cannot be read."""
+    stations: dict[Path, Mapping[str, Any]] = {}
+    failed: dict[str, MalusError] = {}
+    for task, path in zip(campaign.tasks(Path(), 1), campaign.stations, strict=True):
+        try:
+            require_kind(path, "station")
+            # Now, as the station itself would miss the pose that a [prior] needs.
+            if campaign.photos_of is not None and "prior" in read_toml(path, "station file"):
+                raise InputError(
+                    f"{path}: has a [prior], but {campaign.photos_of} has [photos], which give all stations their pose and coarse "
+                    "surface; expected the lens in [camera], and no [prior]"
+                )
+            stations[path] = task.load().describe()
+        except MalusError as error:
+            failed[task.identifier] = error
+    if failed:
+        raise _together(failed, len(campaign.stations))
+    return stations
 
 
 def _together(failed: Mapping[str, MalusError], count: int) -> MalusError:

@@ -19,17 +19,8 @@ _MOST_CONTRADICTED = 0.03
 _MOST_UNSURE = 1 / 3
 
 
-def warnings_of(
-    outcomes: Sequence[Outcome],
-    found: Sequence[str],
-    closed: bool,
-    thing: Object,
-    output: Path,
-    compared: Mapping[str, Any] | None,
-) -> list[str]:
-    """Warnings of all stations and of the object itself. Warnings about finding the stations (`found`), which every station repeats,
-    are listed once.
-    """
+def warnings_of(outcomes: Sequence[Outcome], found: Sequence[str], output: Path) -> list[str]:
+    """Warnings of all stations. Those about finding the stations (`found`), which every station repeats, are listed once."""
     shared = [f"photos: {warning}" for warning in found]
     warnings = list(shared)
     for outcome in outcomes:
@@ -39,11 +30,6 @@ def warnings_of(
             continue
         own = Workspace(output / "stations" / name).quality["warnings"]
         warnings += [f"{name}: {warning}" for warning in own if warning not in shared]
-    if thing.closed and not closed:
-        warnings.append("object: the mesh was to be closed, but it has open edges")
-    if compared is not None and compared["status"] != "done":
-        # The page shows the warnings, and must not reveal the scan's path on this computer.
-        warnings.append(f"object: is not compared with {Path(compared['file']).name}: {compared['status']}")
     return warnings
 
 
@@ -54,6 +40,23 @@ def left_out(outcomes: Sequence[Outcome]) -> list[str]:
         for outcome in outcomes
         if outcome["status"] != "done"
     ]
+
+
+def doubts_of_object(
+    rows: Sequence[Mapping[str, Any]],
+    closed: bool,
+    thing: Object,
+    compared: Mapping[str, Any] | None,
+    bare: Sequence[str],
+) -> list[str]:
+    """Warnings about the object's surface itself. rows: `stations` of quality.json. closed: the mesh is. bare: warnings about clouds."""
+    warnings = [f"object: {warning}" for warning in bare]
+    if thing.closed and not closed:
+        warnings.append("object: the mesh was to be closed, but it has open edges")
+    if compared is not None and compared["status"] != "done":
+        # The page shows the warnings, and must not reveal the scan's path on this computer.
+        warnings.append(f"object: is not compared with {Path(compared['file']).name}: {compared['status']}")
+    return warnings + doubts_of_stations(rows)
 
 
 def doubts_of_stations(rows: Sequence[Mapping[str, Any]]) -> list[str]:

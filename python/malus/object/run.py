@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,13 +26,13 @@ from malus.object.clouds import clouds_of
 from malus.object.color import Paint
 from malus.object.comparison import compared_with_reference, write_comparison
 from malus.object.definition import Object
-from malus.object.doubts import doubts_of_stations, left_out, warnings_of
+from malus.object.doubts import doubts_of_object, left_out, warnings_of
 from malus.object.figures import mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame, key_of_photos, with_warnings
 from malus.object.glb import write_levels
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
-from malus.object.mesh_file import write_mesh
+from malus.object.mesh_file import coverage_of, write_mesh
 from malus.object.meshing import MOST_TO_SIMPLIFY, ObjectMesh
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import load_view, stored
@@ -65,9 +66,10 @@ def run_object(
     outcome of each station that this run has run. Returns the outcomes of all stations.
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
-    earlier surface is removed if no station is done, if the photos give no cameras (DataError), or if making the new surface fails. If
-    another error ends the search for the cameras, it stays if it is of the same photos, masks, distances and points. The warnings
-    before an error are its notes.
+    earlier surface is removed before any work that would make another one: before the search for the cameras if it is not of the same
+    photos, masks, distances and points, and before the stations are run if it is not of their present results and the object file. It
+    is also removed if the photos give no cameras (DataError), if no station is done, or if making the new surface fails. If another
+    error ends the search for the cameras, it stays. The warnings before an error are its notes.
     """
     say = progress or (lambda *_: None)
     thing.require_ready()
@@ -76,14 +78,23 @@ def run_object(
     try:
         if thing.shared is not None:
             photos = key_of_photos(thing.shared)
+            # An earlier surface would look like one of the photos as they are now, also if the search is interrupted.
+            _discard(folder, unless=lambda: _recorded(folder).get("photos_key") == photos)
             frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
     except MalusError as error:
-        # An earlier surface would look like one of the photos as they are now. It stays if it is: a full disk or a COLMAP that is not
-        # there say nothing against it. A disk with photos that is not there ends Object.load.
-        of = (read_record(folder / "quality.json") or {}).get("photos_key")
-        if isinstance(error, DataError) or photos is None or of != photos:
+        # A full disk or a COLMAP that is not there say nothing against a surface of these photos. A disk with photos that is not there
+        # ends Object.load.
+        if isinstance(error, DataError) or photos is None:
             _discard(folder)
         raise
+    cameras = None if frame is None else frame.cameras
+
+    def surface_is_current() -> bool:
+        outcomes = batch.outcomes_of(thing.campaign, output, cameras)
+        return not _any_pending(outcomes) and _recorded(folder).get("key") == _key(thing, outcomes, frame)
+
+    # An earlier surface would look like the result of a run that is interrupted, or leaves stations to others.
+    _discard(folder, unless=surface_is_current)
 
     def station_ended(count: int, total: int, outcome: Outcome) -> None:
         say("stations", count / total, f"{outcome['station']}: {outcome['status']}")
@@ -91,26 +102,40 @@ def run_object(
             ended(outcome)
 
     outcomes = batch.run_campaign(
-        thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard,
-        cameras=None if frame is None else frame.cameras, progress=station_ended,
+        thing.campaign, output, jobs=jobs, threads=threads, scheduler=scheduler, shard=shard, cameras=cameras,
+        progress=station_ended,
     )  # fmt: skip
     # Stations of other shards are pending; the shard that ends last makes the surface.
-    if any(outcome["status"] == "pending" for outcome in outcomes):
-        return outcomes
-    done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+    return outcomes if _any_pending(outcomes) else _joined(thing, folder, frame, photos, threads or ALL_CORES, say)
+
+
+def _joined(
+    thing: Object,
+    folder: Path,
+    frame: Frame | None,
+    photos: str | None,
+    threads: int,
+    say: Callable[[str, float, str], None],
+) -> list[Outcome]:
+    """Make the surface of the finished stations, unless it is made; returns the outcomes of all stations."""
     found = [] if frame is None else frame.warnings
-    if not done:
-        _discard(folder)
-        raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
-    say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
-    key = _key(thing, outcomes, frame)
-    # If two shards end at once, one makes the surface and the other gets an InputError.
-    with exclusive(folder):
+    # If two shards end at once, one makes the surface, and the other one finds it made.
+    with exclusive(folder, wait=True):
+        # Another shard may have run a station again, with another result, while this one waited.
+        outcomes = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
+        if _any_pending(outcomes):
+            return outcomes
+        done = [outcome for outcome in outcomes if outcome["status"] == "done"]
+        if not done:
+            _clear(folder)
+            raise with_warnings(batch.failure(outcomes) or DataError(f"{thing.name}: has no stations"), found)
+        say("stations", 1.0, f"{len(done)} of {len(outcomes)} done")  # Stations of an earlier run reported no progress.
+        key = _key(thing, outcomes, frame)
         if not _is_made(folder, key):
             _clear(folder)
             try:
                 _fuse(
-                    thing, outcomes, frame, folder, key, photos, threads or ALL_CORES,
+                    thing, outcomes, frame, folder, key, photos, threads,
                     lambda share, message: say("object", share, message),
                 )  # fmt: skip
             except BaseException as error:
@@ -121,6 +146,15 @@ def run_object(
                 raise
     say("object", 1.0, str(folder / "report" / "index.html"))
     return outcomes
+
+
+def _any_pending(outcomes: Sequence[Outcome]) -> bool:
+    return any(outcome["status"] == "pending" for outcome in outcomes)
+
+
+def _recorded(folder: Path) -> dict[str, Any]:
+    """What quality.json says of an earlier surface; nothing without one."""
+    return read_record(folder / "quality.json") or {}
 
 
 def _key(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None) -> str:
@@ -137,12 +171,10 @@ def _key(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None) -> str
 
 def _is_made(folder: Path, key: str) -> bool:
     """Whether the surface with this key exists and all its files are unchanged."""
-    quality = read_record(folder / "quality.json")
+    quality = _recorded(folder)
     try:
-        return (
-            quality is not None
-            and quality["key"] == key
-            and all(sha256_of(folder / name) == digest for name, digest in quality["files"].items())
+        return quality["key"] == key and all(
+            sha256_of(folder / name) == digest for name, digest in quality["files"].items()
         )
     except (InputError, KeyError):
         return False
@@ -156,11 +188,14 @@ def _clear(folder: Path) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _discard(folder: Path) -> None:
-    """Clear the folder of an earlier surface, if there is one; InputError if another process uses it."""
+def _discard(folder: Path, unless: Callable[[], bool] = lambda: False) -> None:
+    """Clear the folder of an earlier surface, if there is one. A process that is making a surface is waited for; `unless` is about that
+    one then.
+    """
     if folder.exists():
-        with exclusive(folder):
-            _clear(folder)
+        with exclusive(folder, wait=True):
+            if not unless():
+                _clear(folder)
 
 
 def _fuse(
@@ -203,9 +238,8 @@ def _fuse(
             stored(view, scratch / "sharpened" / view.name, ("depth", "normals"))
             for view in sharpened(views, told, threads=threads)
         ]
-        everything = agreement.object_points(
-            views, clouds_of(thing, done, folder.parent, gsd, threads), threads=threads
-        )
+        clouds, bare = clouds_of(thing, done, folder.parent, gsd, threads)
+        everything = agreement.object_points(views, clouds, threads=threads)
         say(0.3, f"a mesh of {len(everything.points)} points")
         mesh = joined_mesh(pieces(everything, gsd, threads), scratch / "open", most_sigma)
         if thing.closed:
@@ -216,15 +250,17 @@ def _fuse(
         albedos = Albedos.of(views, folder.parent / "stations", scratch / "albedo")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler, albedos.paint(mesh))
         say(0.8, "writing")
-        said = said_of_object(thing, done, folder.parent, gsd)
-        coverage = write_mesh(folder / "mesh.ply", mesh, paint, said, scratch)
-        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
         comparison, compared = compared_with_reference(thing, mesh, views, gsd, threads)
-        files += write_comparison(folder, comparison, mesh, views, gsd, thing)
-        files += page.write_maps(folder / "agreement", agreements)
         figures = mesh_figures(mesh, gsd, thing.closed)
         shown = _for_others(outcomes, thing.folder)
+        coverage = coverage_of(mesh, views, scratch)
         stations = station_figures(shown, views, agreements, coverage, gsd)
+        doubts = doubts_of_object(stations, figures["closed"], thing, compared, bare)
+        said = said_of_object(thing, done, folder.parent, gsd, [*left_out(shown), *doubts])
+        write_mesh(folder / "mesh.ply", mesh, paint, coverage.stations, said, scratch)
+        files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
+        files += write_comparison(folder, comparison, mesh, views, gsd, thing)
+        files += page.write_maps(folder / "agreement", agreements)
         found = [] if frame is None else frame.warnings
         quality = {
             "name": thing.name, "unit": thing.unit, "version": _core.version, "key": key, "photos_key": photos, "gsd": gsd, "stations": stations,
@@ -232,7 +268,7 @@ def _fuse(
             "mesh": figures, "levels": levels, "albedo": albedos.figures(), "reference": compared, "agreement": agreement.agreement_figures(agreements, gsd),
             "sharpened_by": [view.name for view, _ in told],
             "photogrammetry": None if frame is None else frame.figures,
-            "warnings": warnings_of(shown, found, figures["closed"], thing, folder.parent, compared) + doubts_of_stations(stations),
+            "warnings": warnings_of(shown, found, folder.parent) + doubts,
         }  # fmt: skip
         files += [
             folder / "mesh.ply",
@@ -253,7 +289,8 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        if after != before:
+        # Another shard may have run a station again that fails as before. Only its time is another one then.
+        if after | {"seconds": 0} != before | {"seconds": 0}:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"
             )

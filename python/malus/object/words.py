@@ -12,11 +12,14 @@ from malus.object.definition import Object
 from malus.workspace import Workspace
 
 
-def said_of_object(thing: Object, done: Sequence[Outcome], output: Path, gsd: float) -> dict[str, str]:
+def said_of_object(
+    thing: Object, done: Sequence[Outcome], output: Path, gsd: float, doubts: Sequence[str]
+) -> dict[str, str]:
     """One line for each statement, as in the files of a single station (malus.trust.said_of).
 
     Catalog entries are those of the stations' [object] in which no two stations differ. An object has no confidence of its own: that of
-    each station is stated, with its reasons. gsd: median pixel of the stations (done), in the object's unit.
+    each station is stated, with its reasons, and what may be wrong with the whole (doubts). gsd: median pixel of the stations (done), in
+    the object's unit.
     """
     catalogs = [Workspace(output / "stations" / outcome["station"]).quality.get("object") or {} for outcome in done]
     entries: dict[str, set[str]] = {}
@@ -38,5 +41,6 @@ def said_of_object(thing: Object, done: Sequence[Outcome], output: Path, gsd: fl
         "pixel": shown(gsd, thing.unit, 4),
         "frame": "world",
         **told,
+        **{f"warning {k}": " ".join(doubt.split()) for k, doubt in enumerate(doubts, start=1)},
         "made_by": f"Malus {_core.version}",
     }
