@@ -33,6 +33,7 @@ from malus.object.agreement import object_points
 from malus.object.color import Paint
 from malus.object.implicit import pieces
 from malus.object.joining import joined_mesh
+from malus.object.mesh_file import write_mesh
 from malus.object.sharpening import Phases, sharpened, telling
 from malus.object.views import View, load_view, stored
 from malus.workspace import Workspace
@@ -190,7 +191,8 @@ def measure_monument(definition: Path, output: Path, copies: int, threads: int) 
         done("coarser mesh", f"{0 if simpler is None else len(simpler.triangles) / 1e6:.1f} million triangles")
         baked = texture.levels_of_detail(mesh, thing.faces, paint, gsd, simpler)
         done("textures", f"{len(baked)} levels, {len(baked[0].color)} texels a side")
-        run._write_mesh(output / "monument.ply", mesh, paint, {}, scratch)
+        seeing = np.zeros(len(mesh.vertices), np.uint8)  # not counted here
+        write_mesh(output / "monument.ply", mesh, paint, seeing, {}, scratch)
         done("written", f"{(output / 'monument.ply').stat().st_size / 1e9:.1f} GB")
     (output / "monument.ply").unlink()
     return rows

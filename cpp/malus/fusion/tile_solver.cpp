@@ -23,9 +23,10 @@ constexpr double slope_change = 0.1;
 
 /// The solver starts almost with Gauss-Newton steps, because the start is close. Where these raise the cost, as in
 /// paintings with a map of the surroundings, Ceres divides the radius by 2, 4, 8, ...: damping is felt after six
-/// rejected steps, when the radius is about one.
+/// rejected steps, when the radius is about a half. Steps of a smaller one lower the cost, but no longer move the
+/// surface.
 constexpr double first_radius = 1e6;
-constexpr int most_rejected = 9;
+constexpr int most_rejected = 6;
 
 /// Borders of an even division of [0, length) into parts of at most about `largest`, on multiples of the prior blocks.
 std::vector<int> borders(int length, int largest) {
