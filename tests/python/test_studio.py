@@ -462,8 +462,13 @@ def test_a_new_value_does_not_part_the_next_table_from_its_comment(tmp_path: Pat
             ("photos", "masks", "m"),
             "[photos]\nfolder = 'a'\nmasks = \"m\"\n\n# A phone.\n[photos.camera]\nmodel = 'x'\n",
         ),
+        (
+            "[polarized]\nimages = ['a']\n# The lens.\n[camera]\nimage = 'a'\n",
+            ("polarized", "mask", "m"),
+            "[polarized]\nimages = ['a']\nmask = \"m\"\n# The lens.\n[camera]\nimage = 'a'\n",
+        ),
     ],
-    ids=["last key", "all patches", "last patch", "new patch", "inner table"],
+    ids=["last key", "all patches", "last patch", "new patch", "inner table", "no blank line"],
 )
 def test_the_comment_on_the_next_table_stays_before_it(
     tmp_path: Path, text: str, change: tuple[Any, ...], expected: str

@@ -41,8 +41,12 @@ def text_of(body: Body) -> str:
 
 
 def _cut_behind(body: Body) -> str:
-    """Remove the first blank line behind the last key and what follows, such as the comment on the next table; returns its text."""
-    begin = next((at for at in range(behind(body), len(body)) if isinstance(body[at][1], Whitespace)), len(body))
+    """Remove the first blank line behind the last key and what follows, such as the comment on the next table; returns its text.
+
+    Without a blank line all is of the next table.
+    """
+    last = behind(body)
+    begin = next((at for at in range(last, len(body)) if isinstance(body[at][1], Whitespace)), last)
     text = "".join(item.as_string() for _, item in body[begin:])
     del body[begin:]
     return text
