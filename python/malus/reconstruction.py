@@ -277,6 +277,8 @@ def _fused_of(description: dict[str, Any], images: dict[str, Any], options: Opti
     }
 
 
+#: Steps that this package runs before the library makes the prior. The library's table has their places.
+_STEPS_OF_PHOTOS = ("photos", "sweep")
 #: Expected seconds for the report: fixed part, and per megapixel.
 _REPORT_SECONDS = (4.0, 3.0)
 #: Expected seconds for the paper's plates and tables: 25 plates took 11 on an example. Plates have the same print size for any image.
@@ -299,20 +301,25 @@ def expected_times(
     description = station.describe()
     first = Path(description["images"][0]) if description["images"] else None
     size = raw.image_size(first) if first is not None and raw.is_raw(first) else None
-    times = _core.expected_times(station._core, settings.to_json(), until, size, threads)
     if first is not None:
         width, height = size or _core.image_size(str(first))
     else:
         camera = description.get("camera", {"width": 0, "height": 0})
         width, height = camera["width"], camera["height"]
+    of_photos: dict[str, float] = {}
     if _needs_photos(station, until):
         planned = _planned(description, settings, threads, width, height, known=cameras_known)
         # The second sweep needs a surface fused with the first one: the steps from polarization to fusion run once in between.
         fusing = _core.expected_times(station._core, settings.to_json(), "fuse", size, threads)[1:]
         between = sum(seconds for _, seconds in fusing)
-        swept = planned.sweeping.seconds + (between if settings.sweep.again else 0.0)
-        found = [] if cameras_known else [("photos", planned.finding.seconds)]
-        times = [*times[:1], *found, ("sweep", swept), *times[1:]]
+        of_photos["sweep"] = planned.sweeping.seconds + (between if settings.sweep.again else 0.0)
+        if not cameras_known:
+            of_photos["photos"] = planned.finding.seconds
+    times = [
+        (step, of_photos.get(step, seconds))
+        for step, seconds in _core.expected_times(station._core, settings.to_json(), until, size, threads)
+        if step in of_photos or step not in _STEPS_OF_PHOTOS
+    ]
     if until is None:
         fixed, per_megapixel = _REPORT_SECONDS
         times.append(("report", fixed + per_megapixel * width * height / 1e6))
@@ -381,8 +388,8 @@ def check(
     photos_mb = 0.0
     if _needs_photos(station, None):
         planned = _planned(station.describe(), settings, threads, plan["width"], plan["height"], known=cameras_known)
-        # Listed after the polarization step, whose image is oriented among the photos.
-        plan["does"][1:1] = [planned.sweep] if cameras_known else [*planned.photos, planned.sweep]
+        lines = {"photos": [] if cameras_known else planned.photos, "sweep": [planned.sweep]}
+        plan["does"] = [line for does in plan["does"] for line in lines.get(does.split(":")[0], [does])]
         plan["warnings"] += [] if cameras_known else planned.warnings
         stages = [planned.sweeping] if cameras_known else [planned.finding, planned.sweeping]
         photos_mb = max(stage.memory_mb for stage in stages)

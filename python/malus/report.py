@@ -260,7 +260,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
         worst_registration=_worst_registration(quality["registration_rms_px"]),
         changed=_changed_options(manifest["options"]),
         steps=steps,
-        times=[(step, manifest["times"][step]) for step in ("photos", "sweep", *steps) if step in manifest["times"]],
+        times=[(step, manifest["times"][step]) for step in STEPS if step in manifest["times"] and step != "report"],
         versions=[
             *manifest["versions"].items(),
             ("python", platform.python_version()),

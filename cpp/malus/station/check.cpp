@@ -212,8 +212,8 @@ std::vector<ExpectedTime> expected_times(const Station& station, const Options& 
   const Workload work{planned, options, size, 1e-6 * static_cast<double>(count_of_set(captured_object(station, size))),
                       context.threads};
   std::vector<ExpectedTime> times;
-  for (const Step* step : steps_of_run(step_table(), planned, options, run.until))
-    times.push_back({step->name, step->cost(work).seconds});
+  for (const Step* step : planned_steps(step_table(), planned, options, run.until))
+    times.push_back({step->name, step->cost ? step->cost(work).seconds : 0.0});
   return times;
 }
 
@@ -249,9 +249,10 @@ Plan check_station(const Station& station, const Options& options, const Context
   for (const std::string& warning : station_warnings(station)) plan.warnings.push_back(warning);
   const Station planned = with_prior_of_photos(station);
   const Workload work{planned, options, plan.size, plan.object_pixels / 1e6, context.threads};
-  for (const Step* step : steps_of_run(step_table(), planned, options, std::nullopt)) {
+  for (const Step* step : planned_steps(step_table(), planned, options, std::nullopt)) {
     const auto detail = details.find(step->name);
     plan.does.push_back(step->name + ": " + (detail == details.end() ? step->does : detail->second));
+    if (!step->cost) continue;  // known to the Python package, which runs the step
     const Expected cost = step->cost(work);
     plan.seconds += cost.seconds;
     plan.memory_mb = std::max(plan.memory_mb, cost.megabytes);

@@ -39,8 +39,8 @@ struct TimedRun {
   std::optional<Size> size = {};          ///< of the images, if their files do not give it (RAW)
 };
 
-/// Expected time of each step of a run with context.threads threads, from the images' size and the mask alone. A
-/// station with [photos] is assumed to have its prior already.
+/// Expected time of each step of a run with context.threads threads, from the images' size and the mask alone. Of a
+/// station with [photos], the steps that the Python package runs are included with 0 seconds.
 std::vector<ExpectedTime> expected_times(const Station& station, const Options& options, const TimedRun& run,
                                          const Context& context);
 

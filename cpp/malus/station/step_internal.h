@@ -43,6 +43,8 @@ struct StepRow {
   std::vector<StationInputs::Part> station = {};  ///< parts of the station that the step uses
   std::vector<std::string> leaves = {};           ///< files
   std::vector<std::string> may_leave = {};        ///< further files, for some stations and options
+  /// For a step that the Python package runs before the library does: the step that uses what it finds.
+  std::string serves = {};
   Expected (*cost)(const Workload&) = nullptr;
   /// Whether this row is the variant of the step to use.
   bool (*applies)(const Station&, const Options&) = [](const Station&, const Options&) { return true; };
@@ -68,7 +70,7 @@ using StepInputs = std::map<std::type_index, std::shared_ptr<const void>>;
 struct Step : StepRow {
   std::vector<Part> makes = {};
   std::vector<Read> reads = {};
-  /// Returns results in the order of `makes`; empty for steps that the Python package runs on a finished workspace.
+  /// Returns results in the order of `makes`; empty for steps that the Python package runs.
   std::function<std::vector<std::shared_ptr<void>>(const Job&, const StepInputs&)> run = {};
 
   bool reads_type(std::type_index type) const;
@@ -157,6 +159,11 @@ const std::vector<Step>& step_table();
 /// inputs.
 std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Station& station, const Options& options,
                                       const std::optional<std::string>& until);
+
+/// The steps of a run as people see them: those of steps_of_run, and in their places those that the Python package runs
+/// for them. A station with [photos] is taken as one whose prior is made from these.
+std::vector<const Step*> planned_steps(const std::vector<Step>& table, const Station& station, const Options& options,
+                                       const std::optional<std::string>& until);
 
 /// Whether `reader` uses results of `maker`, a step before it.
 bool uses(const Step& reader, const Step& maker);

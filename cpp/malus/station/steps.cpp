@@ -16,6 +16,9 @@ bool by_refinement(const Station&, const Options& options) {
 bool has_prior(const Station& station, const Options&) {
   return station.has_prior();
 }
+bool is_photographed(const Station& station, const Options&) {
+  return std::holds_alternative<SweptDepth>(station.prior);
+}
 bool is_assessed(const Options& options) {
   return options.assess.polarization_height;
 }
@@ -31,6 +34,14 @@ std::vector<Step> steps_before_fusion() {
             .may_leave = {"polarization/variance_factor.tif", "polarization/color.tif", "polarization/scene.tif"},
             .cost = polarization_cost},
            measure_polarization),
+      step_by_python({.name = "photos",
+                      .does = "the photos' cameras and the station's among them",
+                      .serves = "prior",
+                      .applies = is_photographed}),
+      step_by_python({.name = "sweep",
+                      .does = "depth of the station's view from the photos",
+                      .serves = "prior",
+                      .applies = is_photographed}),
       step({.name = "prior",
             .does = "the coarse surface in the polarized view",
             .options = {"prior"},
@@ -179,6 +190,18 @@ std::vector<const Step*> steps_of_run(const std::vector<Step>& table, const Stat
     if (for_itself || for_another) wanted.insert(wanted.begin(), step);
   }
   return wanted;
+}
+
+std::vector<const Step*> planned_steps(const std::vector<Step>& table, const Station& station, const Options& options,
+                                       const std::optional<std::string>& until) {
+  const std::vector<const Step*> run = steps_of_run(table, station, options, until);
+  const auto runs = [&run](const std::string& name) { return std::ranges::find(run, name, &Step::name) != run.end(); };
+  std::vector<const Step*> planned;
+  for (const Step& step : table) {
+    const bool is_run = std::ranges::find(run, &step) != run.end();
+    if (is_run || (runs(step.serves) && step.applies(station, options))) planned.push_back(&step);
+  }
+  return planned;
 }
 
 std::vector<std::string> files_of(const std::vector<Step>& table, const std::string& name) {

@@ -210,7 +210,9 @@ class Object:
                 description, 1e-6 * plans[0]["width"] * plans[0]["height"], options=settings, threads=threads,
                 silhouettes=self._outlines_of_others(),
             )  # fmt: skip
-            plans[0]["does"][1:1] = photos.photos
+            does = plans[0]["does"]
+            sweep = next(k for k, line in enumerate(does) if line.startswith("sweep: "))
+            does[sweep:sweep] = photos.photos
             plans[0]["warnings"] += [*photos.warnings, *self.unmasked()]
             plans[0]["seconds"] += photos.finding.seconds
             plans[0]["memory_mb"] = max(plans[0]["memory_mb"], photos.finding.memory_mb)

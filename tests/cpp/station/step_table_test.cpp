@@ -37,7 +37,7 @@ TEST(StepTable, EveryStepComesAfterTheStepsItReads) {
     for (const Read& read : step.reads) EXPECT_TRUE(made.contains(read.type)) << step.name;
     for (const Part& part : step.makes) made.insert(part.type);
     EXPECT_FALSE(step.does.empty()) << step.name;
-    EXPECT_FALSE(step.leaves.empty()) << step.name;
+    EXPECT_EQ(step.leaves.empty(), !step.serves.empty()) << step.name;
     EXPECT_EQ(step.cost == nullptr, step.run == nullptr) << step.name;
   }
 }
@@ -94,6 +94,19 @@ TEST(StepTable, WithoutAPriorThereArePolarizationAndItsHeightOnly) {
     expect_error(
         ErrorCode::input, [&] { reconstruct({}, {}, run, {}); }, "[prior] is missing");
   }
+}
+
+TEST(StepTable, APlanHasTheStepsOfThePhotosBeforeThePrior) {
+  const auto planned = [](const PriorSource& prior, const std::optional<std::string>& until) {
+    Station station;
+    station.prior = prior;
+    Names names;
+    for (const Step* step : planned_steps(step_table(), station, {}, until)) names.push_back(step->name);
+    return names;
+  };
+  EXPECT_EQ(planned(SweptDepth{}, "prior"), (Names{"polarization", "photos", "sweep", "prior"}));
+  EXPECT_EQ(planned(SweptDepth{}, "polarization"), Names{"polarization"});
+  EXPECT_EQ(planned(DepthFile{"depth.tif"}, "prior"), (Names{"polarization", "prior"}));
 }
 
 TEST(StepTable, AnUnknownStepIsNamedWithTheExistingOnes) {
