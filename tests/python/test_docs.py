@@ -272,6 +272,16 @@ def test_every_command_on_the_pages_exists() -> None:
     assert len(seen) > 12, seen
 
 
+def test_defaults_of_options_on_the_pages_are_those_of_the_program() -> None:
+    """As pages state them: `section.option` (value)."""
+    defaults = {name: default for name, _, default, _ in malus.Options.describe()}
+    pages = [page for page in PAGES if page.parent.name != "decisions"]  # which tell of their time
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    stated = re.findall(r"`([a-z]+\.[a-z_]+)`\s\((\d[\d ]*(?:\.\d+)?)\)", text)
+    assert len(stated) > 4
+    assert not [entry for entry in stated if defaults[entry[0]] != float(entry[1].replace(" ", ""))]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_on_a_page_are_toml(page: Path) -> None:
     for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
