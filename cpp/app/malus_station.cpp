@@ -245,7 +245,8 @@ int main(int argc, char** argv) {
       ->allow_extra_args(false);
   app.add_option("--options", arguments.options_file, "file with options, one table per step")->type_name("FILE.toml");
   app.add_option("--threads", arguments.threads, "number of threads; default: all cores")->check(CLI::PositiveNumber);
-  app.add_flag("--replace", arguments.replace, "take the workspace over if it belongs to another station");
+  app.add_flag("--replace", arguments.replace,
+               "take the workspace over if it belongs to another station; its results are removed");
   app.add_flag("--json", arguments.json, "write progress to standard output, one JSON object per event");
   app.add_flag("--quiet", arguments.quiet, "print only errors, warnings, and a confidence that is not high");
   try {

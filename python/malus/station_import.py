@@ -68,8 +68,9 @@ def import_station(
     `mosaic` and `colors` describe a polarization camera whose only image is in the folder. A file mask.png becomes the mask.
     `metashape` is the cameras.xml of an Agisoft Metashape project in which the polarized view was aligned, too; `label` is the
     label of that view's camera, in whichever chunk, whose lens and pose become [camera]. `cloud` is the project's cloud in the same
-    frame and becomes [prior]; `unit` is the unit of both, by default meters if cameras.xml says so, else millimeters. Tables that are
-    not given must be filled in by hand. Raises malus.InputError; an existing file is not replaced.
+    frame and becomes [prior]; `unit` is the unit of both, by default meters if cameras.xml says so, else millimeters. Without them,
+    [camera] and [prior] must be written into the file by hand. The station has the name of its file, or, if that is station.toml, of
+    its folder. Raises malus.InputError; an existing file is not replaced.
     """
     folder, output = Path(folder), Path(output)
     if not folder.is_dir():
@@ -108,7 +109,10 @@ def import_station(
             "# To come: [camera] and [prior], or [photos] with [[scale]] or [[control]]; without them `malus decompose` makes "
             "the polarization maps, and `malus height` a height from them."
         ]
-    head = ["[station]", f"name = {_text(resolved(folder).name)}", f"unit = {_text(unit or 'mm')}", ""]
+    # The folder of the images is mostly called pol, in every station.
+    file = resolved(output)
+    name = file.parent.name if file.name == "station.toml" else file.stem
+    head = ["[station]", f"name = {_text(name)}", f"unit = {_text(unit or 'mm')}", ""]
     write_text(output, "\n".join([*head, "[polarized]", *lines, "", *camera, *prior, *note, ""]))
     return output
 

@@ -268,6 +268,10 @@ def test_report_takes_the_station_like_other_steps(
 def test_misspelled_words_get_a_suggestion() -> None:
     for words, said in (
         (["studo"], "'studo' is unknown; did you mean studio?"),
+        (
+            ["stone/station.toml"],
+            "stone/station.toml is no command, expected one before it, such as malus check stone/station.toml",
+        ),
         (["demo", "coins"], "'coins' is unknown; did you mean coin?"),
         (["nonsense"], "choose from"),
         (["export", "work", "--fromat", "stl"], "--fromat is unknown; did you mean --format?"),

@@ -175,6 +175,12 @@ def test_lines_of_a_page_are_short(page: Path) -> None:
     assert not long
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_lists_within_lists_are_indented_by_four(page: Path) -> None:
+    """With less, the site shows the inner list as further items of the outer one, which counts them."""
+    assert not re.findall(r"^ {1,3}(?:[-*]|\d+\.) .*", BLOCK.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+
+
 def test_marked_commands_are_in_the_test_that_their_page_names() -> None:
     for page in PAGES:
         for how, _, file, kind, block in MARK.findall(page.read_text(encoding="utf-8")):
@@ -266,6 +272,16 @@ def test_every_command_on_the_pages_exists() -> None:
     assert len(seen) > 12, seen
 
 
+def test_defaults_of_options_on_the_pages_are_those_of_the_program() -> None:
+    """As pages state them: `section.option` (value)."""
+    defaults = {name: default for name, _, default, _ in malus.Options.describe()}
+    pages = [page for page in PAGES if page.parent.name != "decisions"]  # which tell of their time
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    stated = re.findall(r"`([a-z]+\.[a-z_]+)`\s\((\d[\d ]*(?:\.\d+)?)\)", text)
+    assert len(stated) > 4
+    assert not [entry for entry in stated if defaults[entry[0]] != float(entry[1].replace(" ", ""))]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_on_a_page_are_toml(page: Path) -> None:
     for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
@@ -328,6 +344,16 @@ def test_cpp_on_the_pages_is_what_the_tests_build() -> None:
     assert block.replace("(app ", "(consumer ").splitlines() == [
         line for line in build.splitlines() if "malus" in line and "project" not in line
     ]
+
+
+def test_help_explains_every_command_and_every_argument() -> None:
+    from malus.cli.arguments import command_line
+
+    (commands,) = (part for part in command_line()._actions if isinstance(part, argparse._SubParsersAction))
+    without = [name for name, command in commands.choices.items() if not command.description]
+    for name, command in commands.choices.items():
+        without += [f"{name} {part.metavar or part.dest}" for part in command._actions if not part.help]
+    assert not without
 
 
 def test_help_of_an_option_stands_alone() -> None:

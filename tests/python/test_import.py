@@ -43,6 +43,14 @@ def test_angles_in_names_in_natural_order(folder: Path, tmp_path: Path) -> None:
     assert content["mask"] == "shots/mask.png"
 
 
+@pytest.mark.parametrize(("file", "name"), [("vase/station.toml", "vase"), ("vase/lid.toml", "lid")])
+def test_station_is_not_named_after_the_folder_of_its_images(tmp_path: Path, file: str, name: str) -> None:
+    for angle in (0, 45, 90):
+        image(tmp_path / f"vase/pol/pol_{angle}.png")
+    malus.import_station(tmp_path / "vase/pol", tmp_path / file)
+    assert malus.Station.load(tmp_path / file).name == name
+
+
 def test_pattern(folder: Path) -> None:
     for name in ("a030_take1.png", "a060_take1.png", "a090_take1.png"):
         image(folder / name)

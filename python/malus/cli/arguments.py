@@ -46,6 +46,15 @@ def _leaves(until: str, fusion: str | None, *more: str) -> str:
     return "\n".join([*lines, *(f"  {file}" for file in more)])
 
 
+#: Below the list of commands.
+_BEGIN = """\
+begin with one of these:
+  malus demo                   try it on an example
+  malus studio FOLDER          everything in the web browser
+  malus import FOLDER -o STATION.toml, then malus check, run, view and export
+
+malus COMMAND --help says more of a command."""
+
 _Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
@@ -110,7 +119,12 @@ def _common_options(*, computes: bool, threads: str) -> Parser:
 
 def command_line() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
-    parser = Parser(prog="malus", description=malus.__doc__.splitlines()[0] if malus.__doc__ else None)
+    parser = Parser(
+        prog="malus",
+        description=malus.__doc__.splitlines()[0] if malus.__doc__ else None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_BEGIN,
+    )
     parser.add_argument("--version", action="version", version=f"malus {malus.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
 
@@ -126,7 +140,7 @@ def command_line() -> argparse.ArgumentParser:
         common = _common_options(computes=computes, threads=threads)
         command = commands.add_parser(name, help=text, description=text, parents=[common])
         if station:
-            command.add_argument("station", type=Path, metavar="STATION.toml")
+            command.add_argument("station", type=Path, metavar="STATION.toml", help="station file")
         if work:
             _work_of(command, required=True, help="workspace folder")
         return command
@@ -159,7 +173,9 @@ def _add_runs(add: _Add) -> None:
         station=False,
         work=False,
     )
-    paper.add_argument("station", nargs="?", type=Path, metavar="STATION.toml")
+    paper.add_argument(
+        "station", nargs="?", type=Path, metavar="STATION.toml", help="station file; left out with --campaign"
+    )
     paper.add_argument(
         "--campaign",
         nargs="+",
@@ -213,9 +229,11 @@ def _add_runs(add: _Add) -> None:
         command.add_argument(
             "--register",
             action="store_true",
-            help="find the reference's place on the surface, however far off it lies, then align",
+            help="find the reference's place on the surface, however far off it lies, then align the surface to it",
         )
-        command.add_argument("--m3c2", action="store_true", help="compare with the reference by M3C2 too (py4dgeo)")
+        command.add_argument(
+            "--m3c2", action="store_true", help="compare with the reference by M3C2, too (needs the extra m3c2)"
+        )
 
 
 def _add_uses_of_a_workspace(add: _Add) -> None:
@@ -230,7 +248,9 @@ def _add_uses_of_a_workspace(add: _Add) -> None:
         "export", "write the surface of a workspace for another program", station=False, work=False, computes=False
     )
     export.add_argument("work", type=Path, metavar="WORK", help="workspace folder")
-    export.add_argument("--format", choices=list(FORMATS), required=True, help="what to write")
+    export.add_argument(
+        "--format", choices=list(FORMATS), required=True, help="what to write (docs/deliverables.md describes each)"
+    )
     export.add_argument("--faces", type=int, metavar="N", help=f"at most N triangles ({', '.join(MESHES)})")
     export.add_argument(
         "--interval", type=float, metavar="LENGTH", help="distance between contour lines; default: a round number"
@@ -240,7 +260,10 @@ def _add_uses_of_a_workspace(add: _Add) -> None:
         "--albedo", action="store_true", help=f"color without highlights and shading ({', '.join(COLORED)})"
     )
     export.add_argument(
-        "--trim", type=float, metavar="GSD", help="meshes: leave out parts with a larger standard deviation of depth"
+        "--trim",
+        type=float,
+        metavar="GSD",
+        help="meshes: leave out parts whose depth has a larger standard deviation than this many GSD (sizes of a pixel on the object)",
     )
     export.add_argument(
         "--fill", action="store_true", help="meshes: close holes; parts that were not measured are magenta"
@@ -257,12 +280,19 @@ def _add_uses_of_a_workspace(add: _Add) -> None:
     )
 
 
+def _add_plain(commands: _Commands, name: str, text: str) -> Parser:
+    """Add a command without the common options."""
+    return commands.add_parser(name, help=text, description=text)
+
+
 def _add_chart(commands: _Commands) -> None:
-    chart = commands.add_parser("chart", help="measure a ColorChecker, for the colors of exports")
+    chart = _add_plain(commands, "chart", "measure a ColorChecker, for the colors of exports")
     chart.add_argument(
         "source", type=Path, metavar="IMAGE|WORK", help="color image, or workspace, that shows the chart"
     )
-    chart.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.json")
+    chart.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE.json", help="file to write, for malus export --chart"
+    )
     chart.add_argument(
         "--corners",
         metavar="X,Y,…",
@@ -304,9 +334,9 @@ def _add_compare(add: _Add) -> None:
 
 
 def _add_import(commands: _Commands) -> None:
-    start = commands.add_parser("import", help="write a station file for a folder of polarized images")
+    start = _add_plain(commands, "import", "write a station file for a folder of polarized images")
     start.add_argument("folder", type=Path, metavar="FOLDER", help="folder with the polarized images")
-    start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml")
+    start.add_argument("-o", "--output", type=Path, required=True, metavar="STATION.toml", help="station file to write")
     start.add_argument(
         "--table", type=Path, metavar="FILE.csv", help="images and angles; default: the folder's CSV file"
     )
@@ -344,7 +374,7 @@ def _add_many_stations(add: _Add) -> None:
         work=False,
         threads=threads,
     )
-    many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml")
+    many.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml", help="file that names the stations")
     whole = add(
         "object",
         "run the stations of one object; one surface of all of them",
@@ -352,7 +382,7 @@ def _add_many_stations(add: _Add) -> None:
         work=False,
         threads=threads,
     )
-    whole.add_argument("object", type=Path, metavar="OBJECT.toml")
+    whole.add_argument("object", type=Path, metavar="OBJECT.toml", help="file that names the object's stations")
     for command in (many, whole):
         command.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder for all stations")
         command.add_argument(
@@ -371,16 +401,16 @@ def _add_many_stations(add: _Add) -> None:
 
 
 def _add_help(commands: _Commands) -> None:
-    local = commands.add_parser("studio", help="the whole workflow in the web browser, without writing files by hand")
+    local = _add_plain(commands, "studio", "the whole workflow in the web browser, without writing files by hand")
     local.add_argument(
         "folder", type=Path, nargs="?", default=Path(), metavar="FOLDER", help="folder to open; default: this folder"
     )
     local.add_argument("--port", type=int, default=0, help="port of the page; default: any free one")
     local.add_argument("--no-browser", action="store_true", help="print the address, do not open the browser")
-    shell = commands.add_parser("completion", help="print a script that completes commands and options in a shell")
-    shell.add_argument("shell", choices=SHELLS)
-    commands.add_parser("manual", help="print the manual page (roff): malus manual | man -l -")
-    options = commands.add_parser("options", help="list every option with its default and meaning")
+    shell = _add_plain(commands, "completion", "print a script that completes commands and options in a shell")
+    shell.add_argument("shell", choices=SHELLS, help="the shell that is to read the script")
+    _add_plain(commands, "manual", "print the manual page (roff): malus manual | man -l -")
+    options = _add_plain(commands, "options", "list every option with its default and meaning")
     options.add_argument("--main", action="store_true", help="list only the dozen options that matter most")
     options.add_argument(
         "--preset",

@@ -48,7 +48,9 @@ def _with_lists_of_numbers(words: Sequence[str]) -> list[str]:
 
 
 def _with_the_nearest(message: str) -> str:
-    """A message of argparse; for an invalid choice it suggests a similar valid one, if there is one."""
+    """A message of argparse; for an invalid choice it suggests a similar valid one, if there is one, and for a file the commands."""
     wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)$", message)
+    if wrong and message.startswith("argument COMMAND") and wrong[1].endswith(".toml"):
+        return f"{wrong[1]} is no command, expected one before it, such as malus check {wrong[1]} (malus --help lists them)"
     near = difflib.get_close_matches(wrong[1], re.findall(r"[\w-]+", wrong[2]), n=1) if wrong else []
     return f"{message[: wrong.start()]}{wrong[1]!r} is unknown; did you mean {near[0]}?" if wrong and near else message
