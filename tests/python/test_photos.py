@@ -39,6 +39,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import UNFINISHED, Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
+from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
@@ -894,6 +895,45 @@ def test_distances_that_cannot_give_a_size_are_refused_before_the_photos_are_mat
             require(*bars)
 
 
+def test_distances_that_contradict_each_other_are_refused() -> None:
+    cameras = {
+        name: image.camera
+        for name, image in SparseModel.read(EXAMPLE / "sparse").images.items()
+        if name in ("view_00.jpg", "view_03.jpg", "view_05.jpg", "view_08.jpg")
+    }
+    a, b, c = np.array([-60.0, -30, 0]), np.array([55.0, 35, 0]), np.array([50.0, -33, 0])
+
+    def end(point: np.ndarray) -> list[dict[str, Any]]:
+        marks = []
+        for name, camera in cameras.items():
+            rotation, translation = camera.pose()
+            x = rotation @ point + translation
+            fx, fy, cx, cy = camera.params[:4]
+            marks.append({"image": name, "x": fx * x[0] / x[2] + cx, "y": fy * x[1] / x[2] + cy})
+        return marks
+
+    def bar(first: np.ndarray, second: np.ndarray, distance: float = 1.0) -> dict[str, Any]:
+        ends: dict[str, Any] = {"a": end(first), "b": end(second), "targets": None, "check": False}
+        return {**ends, "distance": distance * float(np.linalg.norm(first - second))}
+
+    def adjust(*bars: dict[str, Any]) -> tuple[float, list[str]]:
+        said: list[str] = []
+        found = scale.adjust_scale(bars, [], cameras, package.Options(), lambda _, text: said.append(text))
+        assert found is not None
+        return found["scale"], said
+
+    assert adjust(bar(a, b), bar(b, c)) == (pytest.approx(1, abs=1e-4), [])
+    size, said = adjust(bar(a, b), bar(b, c, 1.03))
+    assert abs(size - 1) < 0.02 and "disagree by" in said[0]
+    exchanged = bar(a, b)
+    exchanged["a"][1], exchanged["b"][1] = exchanged["b"][1], exchanged["a"][1]
+    for wrong in ([bar(a, b), bar(b, c, 0.1)], [exchanged]):
+        with pytest.raises(
+            package.InputError, match=r"do not fit.*the worst mark is that of \[\[scale\]\] \d in view_0\d"
+        ):
+            adjust(*wrong)
+
+
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     image = Image.new("L", (3000, 2000))
     exif = image.getexif()
@@ -936,6 +976,59 @@ def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
     assert [photo.focal_px for photo in photos] == [None] * 3
     groups = photo_cameras.group_by_camera(photos, None)
     assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+
+
+def test_two_bodies_of_one_model_are_two_cameras(tmp_path: Path) -> None:
+    for name, serial in (("a", "0123"), ("b", "0123"), ("c", "0456")):
+        image = Image.new("L", (30, 20))
+        exif = image.getexif()
+        exif[0x0110] = "Camera"
+        exif.get_ifd(0x8769)[0xA431] = serial
+        image.save(tmp_path / f"{name}.jpg", exif=exif)
+    groups = photo_cameras.group_by_camera(list_photos(tmp_path, []), None)
+    assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+
+
+def test_photos_of_several_lenses_are_told() -> None:
+    def photo(name: str, focal_mm: float | None, width: int = 60, height: int = 40) -> Photo:
+        return Photo(name, Path(name), width, height, "" if focal_mm is None else "Camera", focal_mm=focal_mm)
+
+    lens = package.Camera("PINHOLE", 60, 40, [70, 70, 30, 20])
+    wide, tele = [photo(f"{k}.jpg", 35) for k in range(3)], [photo(f"{k}.jpg", 70) for k in range(7, 9)]
+    assert photo_cameras.doubts_of_lenses([*wide, photo("edited.jpg", None)], lens) == []
+    (doubt,) = photo_cameras.doubts_of_lenses([*wide, *tele], lens)
+    assert "are of 2: Camera, 35 mm (0.jpg, 1.jpg, 2.jpg); Camera, 70 mm (7.jpg, 8.jpg)" in doubt
+    (doubt,) = photo_cameras.doubts_of_lenses([*wide, *tele], None)
+    assert "are of 2 cameras" in doubt and "7.jpg, 8.jpg share theirs" in doubt and "turned" not in doubt
+    assert photo_cameras.doubts_of_lenses([*wide, *tele, photo("9.jpg", 70)], None) == []
+    assert photo_cameras.doubts_of_lenses(tele, None) == []
+    upright = photo("upright.jpg", 35, 40, 60)
+    assert "turned when they were saved" in photo_cameras.doubts_of_lenses([*wide, upright], None)[0]
+    with pytest.raises(package.InputError, match="40 x 60 pixels.*for 60 x 40; it was turned when it was saved"):
+        photo_cameras.group_by_camera([*wide, upright], lens)
+    with pytest.raises(package.InputError, match="leave the camera out"):
+        photo_cameras.group_by_camera([*wide, photo("small.jpg", 35, 30, 20)], lens)
+
+
+def test_a_photograph_that_is_there_twice_is_refused(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
+    views = photo_station.parent / "views"
+    assert malus_here("check", photo_station).code == 0
+    shutil.copy(views / "view 0.jpg", views / "view 0 (1).jpg")
+    for number in range(9):
+        with Image.open(views / f"view {number % 3 + 1}.jpg") as image:
+            image.save(views / f"view {number % 3 + 1}.{('tif', 'png', 'jpeg')[number // 3]}")
+    for command in (("check", photo_station), ("run", photo_station, "-o", tmp_path / "work")):
+        outcome = malus_here(*command)
+        said = " ".join(outcome.err.split())
+        assert outcome.code == 2 and "view 0 (1).jpg and view 0.jpg; view 1.jpeg and view 1.jpg;" in said
+        assert "and 4 more are the same photographs" in said
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nexclude = ["* (1).jpg", "*.tif", "*.png", "*.jpeg"]')
+    assert malus_here("check", photo_station).code == 0
+    with (views / "view 3.jpg").open("r+b") as file:  # of the same length as its copy, and different at its end
+        shutil.copy(views / "view 3.jpg", views / "other.jpg")
+        file.seek(-3, os.SEEK_END)
+        file.write(b"x")
+    assert malus_here("check", photo_station).code == 0
 
 
 def test_copies_are_stretched_to_the_full_range() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags
 
 from malus import _core, raw
-from malus._files import natural, require_utf8
+from malus._files import natural, open_regular, reading, require_utf8, sha256_of
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, positive, tags_of
@@ -42,7 +42,7 @@ class Photo:
     width: int
     height: int
     maker: str = ""
-    """Camera and lens from the EXIF data; empty if unknown."""
+    """Camera and lens from the EXIF data, with their serial numbers; empty if unknown."""
     focal_px: float | None = None
     """Focal length in pixels from the EXIF data; None if unknown."""
     mask: Path | None = None
@@ -64,7 +64,9 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float
     """
     said = tags_of(path)
     tags = ExifTags.Base
-    names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
+    # Two bodies or lenses of one model differ, too.
+    named_by = (tags.Make, tags.Model, tags.LensModel, tags.BodySerialNumber, tags.LensSerialNumber)
+    names = [said.get(tag) for tag in named_by]
     maker = " ".join(str(name).strip("\x00 ") for name in names if name)
     focal_mm = positive(said.get(tags.FocalLength))
     resolution = positive(said.get(tags.FocalPlaneXResolution))
@@ -166,6 +168,38 @@ def photos_of(said: Mapping[str, Any]) -> list[Photo]:
     masks = None if said["masks"] is None else Path(said["masks"])
     photos = list_photos(Path(said["folder"]), said["exclude"], masks)
     return photos if masks is None else with_masks(photos, masks)
+
+
+def _sample(path: Path) -> tuple[int, bytes]:
+    """Length and some bytes of a file."""
+    with reading(path), open_regular(path) as file:
+        length = file.seek(0, os.SEEK_END)
+        file.seek(length // 2)
+        return length, file.read(65536)
+
+
+def require_different(photos: Sequence[Photo]) -> None:
+    """InputError if a photograph is among the photos twice: as a copy, or saved in two formats under one name.
+
+    The sweep takes it for two observations that confirm each other. COLMAP would find both at one place.
+    """
+    first_of: dict[Path | str, Photo] = {}
+    twice = []
+    samples = [_sample(photo.path) for photo in photos]
+    for photo, sample in zip(photos, samples, strict=True):
+        same: list[Path | str] = [photo.path.with_suffix("")]
+        if samples.count(sample) > 1:  # Of most photos the sample tells, and the whole file need not be read.
+            same.append(sha256_of(photo.path))
+        first = next((first_of[key] for key in same if key in first_of), photo)
+        if first is not photo:
+            twice.append(f"{first.name} and {photo.name}")
+        for key in same:
+            first_of.setdefault(key, first)
+    if twice:
+        raise InputError(
+            f"[photos]: {_told(twice)} are the same photograph{'s' * (len(twice) > 1)}, expected each once: the copies would confirm "
+            'what one of them shows; remove them, or name them in exclude = ["…"]'
+        )
 
 
 def _mask_names(photo: str) -> list[str]:
