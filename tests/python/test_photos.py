@@ -786,6 +786,42 @@ def test_warnings_call_the_stations_of_an_object_by_their_names() -> None:
     assert len(told) == 1 and "too few windows in a.jpg, station left: " in told[0]
 
 
+def test_a_given_lens_that_is_not_the_one_of_the_images_is_doubted() -> None:
+    """With a calibration 30 % off, a run ended without a word, and its cameras stood a third of their distance away."""
+
+    def doubts(photos: tuple[float, float], station: tuple[float, float], status: str = "converged") -> list[str]:
+        images = {"a%20b.jpg": photos, STATION_IMAGE: station}
+        focal = {name: given for name, (given, _) in images.items()}
+
+        def refined(lenses: dict[str, str]) -> dict[str, Any]:
+            assert lenses == dict.fromkeys(images, "without_principal_point")
+            focal.update({name: found for name, (_, found) in images.items()})
+            return {"status": status, "lens_sigma": {"a%20b.jpg": [0.24, 0.24], STATION_IMAGE: [2.4, 2.4]}}
+
+        def values() -> dict[str, Any]:
+            return {name: (("PINHOLE", 3, 2, [px, px, 1, 1], None, None), 0, 0) for name, px in focal.items()}
+
+        model = SimpleNamespace(images=values)
+        compared = window_matching._compared(model, list(images), refined)  # type: ignore[arg-type]
+        told: list[str] = []
+        bench = SimpleNamespace(log=lambda _, message: told.append(message))
+        views = {
+            STATION_IMAGE: StationView(np.zeros((2, 3), np.float32), package.Camera("PINHOLE", 3, 2, [5, 5, 1, 1]))
+        }
+        figures = {"status": "converged", "with_few_matches": [], "lens_sigma": [], "given_lenses": compared}
+        window_matching._warn(bench, figures, views)  # type: ignore[arg-type]
+        return told
+
+    assert doubts((1080, 1077), (1290, 1280)) == []
+    (doubt,) = doubts((1184, 1077), (1290, 1280))
+    assert doubt.startswith(
+        "[photos].camera has a focal length of 1184 px, but the images show one of 1077 px (± 0.24 px)"
+    )
+    (doubt,) = doubts((1080, 1077), (1290, 1250))
+    assert doubt.startswith("[camera] of the station has a focal length of 1290 px")
+    assert doubts((1184, 1077), (1290, 1250), "not converged") == []
+
+
 def test_each_photo_that_is_left_out_is_named_once_with_its_cause() -> None:
     """A stray photo was said to have nothing in common with the others, and to have no position for lack of matches."""
     linked = [*itertools.combinations("abcde", 2), *itertools.combinations("xyz", 2)]
