@@ -609,6 +609,27 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
         photos_of({**said, "masks": str(empty), "exclude": ["*.png"]})
 
 
+def test_masks_of_no_photo_are_named(photo_station: Path, fake_colmap: Path) -> None:
+    """A mask whose name was mistyped was left out in silence, and its photo counted as one without a mask."""
+    masks = photo_station.parent / "views/masks"
+    masks.mkdir()
+    for name in ("view 0.jpg.png", "view 1_mask.png", "view 2.png", "view 3.jpg.png"):
+        Image.new("L", (96, 64), 255).save(masks / name)
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nmasks = "views/masks"\nexclude = ["view 3.jpg"]')
+
+    def said() -> str:
+        outcome = malus_here("check", photo_station)
+        assert outcome.code == 0, outcome
+        return " ".join((outcome.out + outcome.err).split())
+
+    assert "of no photo" not in said()
+    (masks / "view 2.png").rename(masks / "view_2.png")
+    expected = (
+        "[photos] masks: view_2.png: is the mask of no photo, expected a name such as view 0.jpg.png for view 0.jpg"
+    )
+    assert expected in said()
+
+
 def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
     """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
     file = tmp_path / "features.db"

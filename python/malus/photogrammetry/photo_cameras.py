@@ -20,7 +20,14 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.diagnosis import Log, listed
 from malus.photogrammetry.journal import UNFINISHED
 from malus.photogrammetry.model import SparseModel, reader_options
-from malus.photogrammetry.photos import Photo, other_images, photos_of, require_different, write_proxy
+from malus.photogrammetry.photos import (
+    Photo,
+    other_images,
+    photos_of,
+    require_different,
+    stray_masks,
+    write_proxy,
+)
 from malus.photogrammetry.program import SearchStoppedError
 
 #: Lens model that is calibrated from the photos.
@@ -141,6 +148,12 @@ def enough_photos_of(said: Mapping[str, Any], log: Log) -> list[Photo]:
     require_different(photos)
     if others:
         log("warning", f"[photos]: {others} cannot be read as photos, expected PNG, TIFF or JPEG")
+    if stray := stray_masks(said):
+        log(
+            "warning",
+            f"[photos] masks: {listed(stray)}: {'is' if len(stray) == 1 else 'are'} the mask of no photo, expected a name such as "
+            f"{photos[0].name}.png for {photos[0].name}",
+        )
     return photos
 
 

@@ -170,6 +170,19 @@ def photos_of(said: Mapping[str, Any]) -> list[Photo]:
     return photos if masks is None else with_masks(photos, masks)
 
 
+def stray_masks(said: Mapping[str, Any]) -> list[str]:
+    """Images in the folder of masks of a [photos] table that are the mask of no photo, not even of an excluded one; none if the
+    photos are in that folder, too.
+    """
+    if said["masks"] is None or Path(said["folder"]).is_relative_to(said["masks"]):
+        return []
+    folder = Path(said["masks"])
+    known = {mask for name in photo_files(Path(said["folder"]), [], folder) for mask in _mask_names(name)}
+    return sorted(
+        (name for name, _ in _images_below(folder, None, raw.IMAGE_SUFFIXES) if name not in known), key=natural
+    )
+
+
 def _sample(path: Path) -> tuple[int, bytes]:
     """Length and some bytes of a file."""
     with reading(path), open_regular(path) as file:
