@@ -1002,6 +1002,31 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
 
 
+def test_a_resolution_of_another_size_of_a_photo_gives_no_focal_length(tmp_path: Path) -> None:
+    """Programs that develop or resize photos keep it. With twice its focal length, taken as known, COLMAP finds no or a wrong model."""
+
+    def focal_px(
+        width: int, written: int, resolution: float, equivalent: int | None, focal_mm: float = 50
+    ) -> float | None:
+        image = Image.new("L", (width, width * 2 // 3))
+        exif = image.getexif()
+        detail = exif.get_ifd(0x8769)
+        detail.update({0x920A: focal_mm, 0xA20E: resolution, 0xA210: 3, 0xA002: written, 0xA003: written * 2 // 3})
+        if equivalent is not None:
+            detail[0xA405] = equivalent
+        image.save(tmp_path / "a.jpg", exif=exif)
+        return list_photos(tmp_path, [])[0].focal_px
+
+    resolution = 6000 / 3.6  # per centimeter, of a sensor of 36 mm
+    whole, half = 50 / 36 * 6000, 50 / 36 * 3000
+    assert focal_px(6000, 6000, resolution, 50) == pytest.approx(whole, rel=1e-3)
+    assert focal_px(3000, 6000, resolution, 50) == pytest.approx(half, rel=1e-3)
+    assert focal_px(3000, 3000, resolution, 50) == pytest.approx(half, rel=5e-3)  # it says the new size
+    assert focal_px(3000, 6000, resolution, None) == pytest.approx(half, rel=1e-3)
+    # As of a Fujifilm X-M1, in a TIFF that another program developed: the resolution is that of the RAW file's preview.
+    assert focal_px(4896, 4896, 820, 38, 25.6) == pytest.approx(5167, rel=1e-3)
+
+
 def test_marks_lie_in_their_photos() -> None:
     photos = [Photo("a.jpg", Path("a.jpg"), 600, 400)]
 

@@ -25,6 +25,8 @@ from malus.workspace import is_result
 
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
+#: Relative difference up to which a focal length agrees with its 35-mm equivalent, which is rounded and need not be by the diagonal.
+_ROUNDED_FILM = 0.15
 #: Suffixes of images of cameras and phones that cannot be read as photos, in small letters.
 _OTHER_SUFFIXES = raw.SUFFIXES | {".heic", ".heif", ".webp", ".avif"}
 #: Most masks whose faults a message describes.
@@ -72,14 +74,16 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float
     resolution = positive(said.get(tags.FocalPlaneXResolution))
     unit = _MM_PER_RESOLUTION_UNIT.get(number_of(said.get(tags.FocalPlaneResolutionUnit)) or 2, 25.4)
     written = positive(said.get(tags.ExifImageWidth))
+    equivalent = positive(said.get(tags.FocalLengthIn35mmFilm))
+    by_film = equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height) if equivalent else None
     if focal_mm and resolution:
         # The resolution refers to the image as the camera wrote it.
         scale = max(width, height) / max(written or width, positive(said.get(tags.ExifImageHeight)) or height)
-        return maker, focal_mm * resolution / unit * scale, focal_mm
-    equivalent = positive(said.get(tags.FocalLengthIn35mmFilm))
-    if equivalent:
-        return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height), focal_mm
-    return maker, None, focal_mm
+        by_pixels = focal_mm * resolution / unit * scale
+        # Programs that develop or resize photos and write their new size may keep the resolution of the old one.
+        if by_film is None or abs(by_pixels - by_film) < _ROUNDED_FILM * by_film:
+            return maker, by_pixels, focal_mm
+    return maker, by_film, focal_mm
 
 
 def describe_photo(path: Path, name: str) -> Photo:
