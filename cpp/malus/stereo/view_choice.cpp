@@ -16,7 +16,7 @@ namespace {
 constexpr int samples_a_side = 24;
 /// A photo's quality grows with its angle to the station's view up to this angle, and falls beyond twice this angle.
 constexpr double best_angle_rad = to_radians(20);
-/// Photos that see the surface from directions less than this apart were taken from one place, with the hand or a tripod.
+/// Photos that see the surface from directions less than this apart were taken from one place, by hand or tripod.
 constexpr double one_place_rad = to_radians(2);
 /// If the sweep's polynomial fits a lens with a larger error, this is logged.
 constexpr double largest_fit_error_px = 0.05;
@@ -119,8 +119,8 @@ void ViewChoice::split() {
     used.pop_back();
   }
   std::sort(used.begin(), used.end(), [](const Photo* a, const Photo* b) { return a->azimuth_rad < b->azimuth_rad; });
-  // Photos from one place see the same mirror images and make the same mistakes: if one of them were in either half, the
-  // halves would agree on these. So they stay together.
+  // Photos from one place see the same mirror images and make the same mistakes: if one of them were in either half,
+  // the halves would agree on these. So they stay together.
   places_ = 0;
   for (auto photo = used.begin(); photo != used.end(); ++photo) {
     const auto same = std::find_if(used.begin(), photo, [&](const Photo* other) {

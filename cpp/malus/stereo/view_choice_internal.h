@@ -58,8 +58,9 @@ class ViewChoice {
     double quality = 0;      ///< 0 = not used
     bool sees = false;       ///< the surface, within the largest angle
     double azimuth_rad = 0;  ///< direction of the camera's center around the station's axis
-    Eigen::Vector3d direction = Eigen::Vector3d::Zero();  ///< mean, from the surface to the camera
     int subset = 0;
+    /// Mean direction from the surface to the camera.
+    Eigen::Vector3d direction = Eigen::Vector3d::Zero();
   };
 
   void measure(const MatchLevel& level, const Image<float>& log_depth);
