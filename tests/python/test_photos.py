@@ -14,6 +14,7 @@ import time
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -1067,8 +1068,13 @@ def test_two_bodies_of_one_model_are_two_cameras(tmp_path: Path) -> None:
         exif[0x0110] = "Camera"
         exif.get_ifd(0x8769)[0xA431] = serial
         image.save(tmp_path / f"{name}.jpg", exif=exif)
+    first, _, other = list_photos(tmp_path, [])
     groups = photo_cameras.group_by_camera(list_photos(tmp_path, []), None)
     assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+    assert first.maker == "Camera" and first.serial == "0123" and not first.may_share_lens(other)
+    # A program that developed the station's images may have left the serial number out.
+    assert first.may_share_lens(Photo("station", first.path, 30, 20, "Camera"))
+    assert not first.may_share_lens(Photo("station", first.path, 30, 20, "Other"))
 
 
 def test_photos_of_several_lenses_are_told() -> None:
@@ -1083,6 +1089,10 @@ def test_photos_of_several_lenses_are_told() -> None:
     (doubt,) = photo_cameras.doubts_of_lenses([*wide, *tele], None)
     assert "are of 2 cameras" in doubt and "7.jpg, 8.jpg share theirs" in doubt and "turned" not in doubt
     assert photo_cameras.doubts_of_lenses([*wide, *tele, photo("9.jpg", 70)], None) == []
+    bodies = [replace(one, serial=f"n{k % 2}") for k, one in enumerate(wide)]
+    assert (
+        "Camera, n0, 35 mm (0.jpg, 2.jpg); Camera, n1, 35 mm (1.jpg)" in photo_cameras.doubts_of_lenses(bodies, lens)[0]
+    )
     assert photo_cameras.doubts_of_lenses(tele, None) == []
     upright = photo("upright.jpg", 35, 40, 60)
     assert "turned when they were saved" in photo_cameras.doubts_of_lenses([*wide, upright], None)[0]

@@ -280,7 +280,7 @@ def _photo_of_same_camera(
     first = describe_photo(Path(station["images"][0]), "station") if station["images"] else None
     if first is not None and (first.height, first.width) == shape:
         for photo in photos:
-            if photo.name in model.images and photo.camera_key == first.camera_key:
+            if photo.name in model.images and photo.may_share_lens(first):
                 log(
                     "warning",
                     f"the station's lens is not given ([camera] is missing); that of the photos is used, since {photo.name} "

@@ -62,10 +62,10 @@ class CameraGroup:
 
     @property
     def title(self) -> str:
-        """Camera, lens and focal length from the EXIF data, for messages."""
+        """Camera, lens, their serial numbers and focal length from the EXIF data, for messages."""
         first = self.photos[0]
         focal = f"{first.focal_mm:g} mm" if first.focal_mm else f"{first.focal_px:.0f} px" if first.focal_px else ""
-        return ", ".join(filter(None, (first.maker, focal)))
+        return ", ".join(filter(None, (first.maker, first.serial, focal)))
 
     def reader(self) -> dict[str, object]:
         """Options of COLMAP's image reader."""

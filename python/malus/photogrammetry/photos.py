@@ -44,7 +44,7 @@ class Photo:
     width: int
     height: int
     maker: str = ""
-    """Camera and lens from the EXIF data, with their serial numbers; empty if unknown."""
+    """Camera and lens from the EXIF data; empty if unknown."""
     focal_px: float | None = None
     """Focal length in pixels from the EXIF data; None if unknown."""
     mask: Path | None = None
@@ -52,24 +52,33 @@ class Photo:
     focal_mm: float | None = None
     """Focal length in millimeters from the EXIF data, which may not tell the size of a pixel; None if unknown."""
 
+    serial: str = ""
+    """Serial numbers of camera and lens from the EXIF data; empty if unknown."""
+
     @property
-    def camera_key(self) -> tuple[int, int, str, float | None, float | None]:
+    def camera_key(self) -> tuple[int, int, str, str, float | None, float | None]:
         """Key that is the same for photos of one camera, lens and focal length."""
         if self.focal_px is not None:
-            return self.width, self.height, self.maker, round(self.focal_px, 1), None
-        return self.width, self.height, self.maker, None, self.focal_mm
+            return self.width, self.height, self.maker, self.serial, round(self.focal_px, 1), None
+        return self.width, self.height, self.maker, self.serial, None, self.focal_mm
+
+    def may_share_lens(self, other: Photo) -> bool:
+        """Whether two files do not say that they are of different cameras, lenses or focal lengths. Programs that develop photos may leave
+        serial numbers out.
+        """
+        if not (self.serial and other.serial):
+            return replace(self, serial="").camera_key == replace(other, serial="").camera_key
+        return self.camera_key == other.camera_key
 
 
-def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float | None]:
-    """Camera and lens ("" if unknown), and the focal length in pixels and in millimeters (None if unknown), from the
-    file's EXIF data.
-    """
-    said = tags_of(path)
+def _words_of(said: Mapping[int, Any], *tags: int) -> str:
+    """The texts of some tags; empty if the file has none of them."""
+    return " ".join(str(said[tag]).strip("\x00 ") for tag in tags if said.get(tag))
+
+
+def _focal_lengths(said: Mapping[int, Any], width: int, height: int) -> tuple[float | None, float | None]:
+    """The focal length in pixels and in millimeters (None if unknown), from a file's EXIF data."""
     tags = ExifTags.Base
-    # Two bodies or lenses of one model differ, too.
-    named_by = (tags.Make, tags.Model, tags.LensModel, tags.BodySerialNumber, tags.LensSerialNumber)
-    names = [said.get(tag) for tag in named_by]
-    maker = " ".join(str(name).strip("\x00 ") for name in names if name)
     focal_mm = positive(said.get(tags.FocalLength))
     resolution = positive(said.get(tags.FocalPlaneXResolution))
     unit = _MM_PER_RESOLUTION_UNIT.get(number_of(said.get(tags.FocalPlaneResolutionUnit)) or 2, 25.4)
@@ -82,15 +91,18 @@ def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float
         by_pixels = focal_mm * resolution / unit * scale
         # Programs that develop or resize photos and write their new size may keep the resolution of the old one.
         if by_film is None or abs(by_pixels - by_film) < _ROUNDED_FILM * by_film:
-            return maker, by_pixels, focal_mm
-    return maker, by_film, focal_mm
+            return by_pixels, focal_mm
+    return by_film, focal_mm
 
 
 def describe_photo(path: Path, name: str) -> Photo:
     """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
     width, height = raw.image_size(path)
-    maker, focal_px, focal_mm = _exif(path, width, height)
-    return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
+    said, tags = tags_of(path), ExifTags.Base
+    maker = _words_of(said, tags.Make, tags.Model, tags.LensModel)
+    serial = _words_of(said, tags.BodySerialNumber, tags.LensSerialNumber)
+    focal_px, focal_mm = _focal_lengths(said, width, height)
+    return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm, serial=serial)
 
 
 def files_below(folder: Path) -> Iterator[Path]:
