@@ -199,6 +199,25 @@ def test_a_photo_model_is_brought_into_the_frame_of_known_points(tmp_path: Path)
     assert said[-1][1].endswith(": it checks nothing") and said[-2][1].endswith(": it does not give the frame")
 
 
+def test_a_frame_that_exchanged_axes_turn_inside_out_is_doubted() -> None:
+    cameras, points = model_and_points(EXAMPLE / "sparse")
+    centers = np.array([-camera.pose()[0].T @ camera.pose()[1] for camera in cameras.values()])
+    flat, tall = points * [1, 1, 0], points * [1, 1, 0] + [[0, 0, 8 * (k % 2)] for k in range(6)]
+    outwards = np.diag([1, 1, 1]) if centers[:, 2].mean() > 0 else np.diag([1, -1, -1])
+
+    def said_of(place: np.ndarray, known: np.ndarray) -> list[str]:
+        said: list[str] = []
+        adjust_datum(control_points(cameras, place, known), cameras, 0.3, lambda _, text: said.append(text))
+        return said
+
+    assert said_of(flat, flat @ outwards) == said_of(tall, tall @ outwards) == []
+    (doubt,) = said_of(flat, (flat @ outwards)[:, [1, 0, 2]])
+    assert "taken from below it" in doubt and "X and Y exchanged" in doubt
+    # A wall has no side that is more likely.
+    wall = flat @ outwards @ [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    assert said_of(flat, wall) == said_of(flat, wall[:, [1, 0, 2]]) == []
+
+
 def test_too_few_control_points_are_reported_before_photos_are_matched(tmp_path: Path) -> None:
     station, used = demo_with_photos(tmp_path / "station")
     cameras, points = model_and_points(EXAMPLE / "sparse")

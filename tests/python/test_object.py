@@ -1176,7 +1176,7 @@ def photographed(pair: Path, tmp_path: Path) -> Path:
     """The pair, its stations with photos in place of pose and prior."""
     (tmp_path / "views").mkdir()
     for number in range(3):
-        Image.new("L", (96, 64), 100).save(tmp_path / f"views/{number}.png")
+        Image.new("L", (96, 64), 100 + number).save(tmp_path / f"views/{number}.png")
     for k in range(2):
         station = tmp_path / f"o{k}/station.toml"
         edit(station, 'colmap_model = "sparse"\nimage = "station.jpg"',

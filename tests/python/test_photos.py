@@ -14,6 +14,7 @@ import time
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,6 +40,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import UNFINISHED, Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
+from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
@@ -397,7 +399,7 @@ def test_unchanged_steps_are_run_once(small_station: Path, tmp_path: Path, monke
 
     events.clear()
     package.reconstruct(station, options, workspace=tmp_path / "work", progress=events.append)
-    steps = [step for step in STEPS if step not in ("m3c2", "paper", "report")]
+    steps = [step for step in STEPS if step not in ("photos", "sweep", "m3c2", "paper", "report")]
     kept = {event.step for event in events if event.message == "kept from an earlier run"}
     assert kept == set(steps)
     pytest.importorskip("rocrate")
@@ -608,6 +610,27 @@ def test_masks_of_photos_are_found_by_their_names(tmp_path: Path) -> None:
         photos_of({**said, "masks": str(empty), "exclude": ["*.png"]})
 
 
+def test_masks_of_no_photo_are_named(photo_station: Path, fake_colmap: Path) -> None:
+    """A mask whose name was mistyped was left out in silence, and its photo counted as one without a mask."""
+    masks = photo_station.parent / "views/masks"
+    masks.mkdir()
+    for name in ("view 0.jpg.png", "view 1_mask.png", "view 2.png", "view 3.jpg.png"):
+        Image.new("L", (96, 64), 255).save(masks / name)
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nmasks = "views/masks"\nexclude = ["view 3.jpg"]')
+
+    def said() -> str:
+        outcome = malus_here("check", photo_station)
+        assert outcome.code == 0, outcome
+        return " ".join((outcome.out + outcome.err).split())
+
+    assert "of no photo" not in said()
+    (masks / "view 2.png").rename(masks / "view_2.png")
+    expected = (
+        "[photos] masks: view_2.png: is the mask of no photo, expected a name such as view 0.jpg.png for view 0.jpg"
+    )
+    assert expected in said()
+
+
 def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
     """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
     file = tmp_path / "features.db"
@@ -785,6 +808,42 @@ def test_warnings_call_the_stations_of_an_object_by_their_names() -> None:
     assert len(told) == 1 and "too few windows in a.jpg, station left: " in told[0]
 
 
+def test_a_given_lens_that_is_not_the_one_of_the_images_is_doubted() -> None:
+    """With a calibration 30 % off, a run ended without a word, and its cameras stood a third of their distance away."""
+
+    def doubts(photos: tuple[float, float], station: tuple[float, float], status: str = "converged") -> list[str]:
+        images = {"a%20b.jpg": photos, STATION_IMAGE: station}
+        focal = {name: given for name, (given, _) in images.items()}
+
+        def refined(lenses: dict[str, str]) -> dict[str, Any]:
+            assert lenses == dict.fromkeys(images, "without_principal_point")
+            focal.update({name: found for name, (_, found) in images.items()})
+            return {"status": status, "lens_sigma": {"a%20b.jpg": [0.24, 0.24], STATION_IMAGE: [2.4, 2.4]}}
+
+        def values() -> dict[str, Any]:
+            return {name: (("PINHOLE", 3, 2, [px, px, 1, 1], None, None), 0, 0) for name, px in focal.items()}
+
+        model = SimpleNamespace(images=values)
+        compared = window_matching._compared(model, list(images), refined)  # type: ignore[arg-type]
+        told: list[str] = []
+        bench = SimpleNamespace(log=lambda _, message: told.append(message))
+        views = {
+            STATION_IMAGE: StationView(np.zeros((2, 3), np.float32), package.Camera("PINHOLE", 3, 2, [5, 5, 1, 1]))
+        }
+        figures = {"status": "converged", "with_few_matches": [], "lens_sigma": [], "given_lenses": compared}
+        window_matching._warn(bench, figures, views)  # type: ignore[arg-type]
+        return told
+
+    assert doubts((1080, 1077), (1290, 1280)) == []
+    (doubt,) = doubts((1184, 1077), (1290, 1280))
+    assert doubt.startswith(
+        "[photos].camera has a focal length of 1184 px, but the images show one of 1077 px (± 0.24 px)"
+    )
+    (doubt,) = doubts((1080, 1077), (1290, 1250))
+    assert doubt.startswith("[camera] of the station has a focal length of 1290 px")
+    assert doubts((1184, 1077), (1290, 1250), "not converged") == []
+
+
 def test_each_photo_that_is_left_out_is_named_once_with_its_cause() -> None:
     """A stray photo was said to have nothing in common with the others, and to have no position for lack of matches."""
     linked = [*itertools.combinations("abcde", 2), *itertools.combinations("xyz", 2)]
@@ -894,6 +953,45 @@ def test_distances_that_cannot_give_a_size_are_refused_before_the_photos_are_mat
             require(*bars)
 
 
+def test_distances_that_contradict_each_other_are_refused() -> None:
+    cameras = {
+        name: image.camera
+        for name, image in SparseModel.read(EXAMPLE / "sparse").images.items()
+        if name in ("view_00.jpg", "view_03.jpg", "view_05.jpg", "view_08.jpg")
+    }
+    a, b, c = np.array([-60.0, -30, 0]), np.array([55.0, 35, 0]), np.array([50.0, -33, 0])
+
+    def end(point: np.ndarray) -> list[dict[str, Any]]:
+        marks = []
+        for name, camera in cameras.items():
+            rotation, translation = camera.pose()
+            x = rotation @ point + translation
+            fx, fy, cx, cy = camera.params[:4]
+            marks.append({"image": name, "x": fx * x[0] / x[2] + cx, "y": fy * x[1] / x[2] + cy})
+        return marks
+
+    def bar(first: np.ndarray, second: np.ndarray, distance: float = 1.0) -> dict[str, Any]:
+        ends: dict[str, Any] = {"a": end(first), "b": end(second), "targets": None, "check": False}
+        return {**ends, "distance": distance * float(np.linalg.norm(first - second))}
+
+    def adjust(*bars: dict[str, Any]) -> tuple[float, list[str]]:
+        said: list[str] = []
+        found = scale.adjust_scale(bars, [], cameras, package.Options(), lambda _, text: said.append(text))
+        assert found is not None
+        return found["scale"], said
+
+    assert adjust(bar(a, b), bar(b, c)) == (pytest.approx(1, abs=1e-4), [])
+    size, said = adjust(bar(a, b), bar(b, c, 1.03))
+    assert abs(size - 1) < 0.02 and "disagree by" in said[0]
+    exchanged = bar(a, b)
+    exchanged["a"][1], exchanged["b"][1] = exchanged["b"][1], exchanged["a"][1]
+    for wrong in ([bar(a, b), bar(b, c, 0.1)], [exchanged]):
+        with pytest.raises(
+            package.InputError, match=r"do not fit.*the worst mark is that of \[\[scale\]\] \d in view_0\d"
+        ):
+            adjust(*wrong)
+
+
 def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     image = Image.new("L", (3000, 2000))
     exif = image.getexif()
@@ -903,6 +1001,31 @@ def test_exif_gives_the_focal_length(tmp_path: Path) -> None:
     photo = list_photos(tmp_path, [])[0]
     assert photo.maker == "Camera"
     assert photo.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-3)
+
+
+def test_a_resolution_of_another_size_of_a_photo_gives_no_focal_length(tmp_path: Path) -> None:
+    """Programs that develop or resize photos keep it. With twice its focal length, taken as known, COLMAP finds no or a wrong model."""
+
+    def focal_px(
+        width: int, written: int, resolution: float, equivalent: int | None, focal_mm: float = 50
+    ) -> float | None:
+        image = Image.new("L", (width, width * 2 // 3))
+        exif = image.getexif()
+        detail = exif.get_ifd(0x8769)
+        detail.update({0x920A: focal_mm, 0xA20E: resolution, 0xA210: 3, 0xA002: written, 0xA003: written * 2 // 3})
+        if equivalent is not None:
+            detail[0xA405] = equivalent
+        image.save(tmp_path / "a.jpg", exif=exif)
+        return list_photos(tmp_path, [])[0].focal_px
+
+    resolution = 6000 / 3.6  # per centimeter, of a sensor of 36 mm
+    whole, half = 50 / 36 * 6000, 50 / 36 * 3000
+    assert focal_px(6000, 6000, resolution, 50) == pytest.approx(whole, rel=1e-3)
+    assert focal_px(3000, 6000, resolution, 50) == pytest.approx(half, rel=1e-3)
+    assert focal_px(3000, 3000, resolution, 50) == pytest.approx(half, rel=5e-3)  # it says the new size
+    assert focal_px(3000, 6000, resolution, None) == pytest.approx(half, rel=1e-3)
+    # As of a Fujifilm X-M1, in a TIFF that another program developed: the resolution is that of the RAW file's preview.
+    assert focal_px(4896, 4896, 820, 38, 25.6) == pytest.approx(5167, rel=1e-3)
 
 
 def test_marks_lie_in_their_photos() -> None:
@@ -936,6 +1059,68 @@ def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
     assert [photo.focal_px for photo in photos] == [None] * 3
     groups = photo_cameras.group_by_camera(photos, None)
     assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+
+
+def test_two_bodies_of_one_model_are_two_cameras(tmp_path: Path) -> None:
+    for name, serial in (("a", "0123"), ("b", "0123"), ("c", "0456")):
+        image = Image.new("L", (30, 20))
+        exif = image.getexif()
+        exif[0x0110] = "Camera"
+        exif.get_ifd(0x8769)[0xA431] = serial
+        image.save(tmp_path / f"{name}.jpg", exif=exif)
+    first, _, other = list_photos(tmp_path, [])
+    groups = photo_cameras.group_by_camera(list_photos(tmp_path, []), None)
+    assert [[photo.name for photo in group.photos] for group in groups] == [["a.jpg", "b.jpg"], ["c.jpg"]]
+    assert first.maker == "Camera" and first.serial == "0123" and not first.may_share_lens(other)
+    # A program that developed the station's images may have left the serial number out.
+    assert first.may_share_lens(Photo("station", first.path, 30, 20, "Camera"))
+    assert not first.may_share_lens(Photo("station", first.path, 30, 20, "Other"))
+
+
+def test_photos_of_several_lenses_are_told() -> None:
+    def photo(name: str, focal_mm: float | None, width: int = 60, height: int = 40) -> Photo:
+        return Photo(name, Path(name), width, height, "" if focal_mm is None else "Camera", focal_mm=focal_mm)
+
+    lens = package.Camera("PINHOLE", 60, 40, [70, 70, 30, 20])
+    wide, tele = [photo(f"{k}.jpg", 35) for k in range(3)], [photo(f"{k}.jpg", 70) for k in range(7, 9)]
+    assert photo_cameras.doubts_of_lenses([*wide, photo("edited.jpg", None)], lens) == []
+    (doubt,) = photo_cameras.doubts_of_lenses([*wide, *tele], lens)
+    assert "are of 2: Camera, 35 mm (0.jpg, 1.jpg, 2.jpg); Camera, 70 mm (7.jpg, 8.jpg)" in doubt
+    (doubt,) = photo_cameras.doubts_of_lenses([*wide, *tele], None)
+    assert "are of 2 cameras" in doubt and "7.jpg, 8.jpg share theirs" in doubt and "turned" not in doubt
+    assert photo_cameras.doubts_of_lenses([*wide, *tele, photo("9.jpg", 70)], None) == []
+    bodies = [replace(one, serial=f"n{k % 2}") for k, one in enumerate(wide)]
+    assert (
+        "Camera, n0, 35 mm (0.jpg, 2.jpg); Camera, n1, 35 mm (1.jpg)" in photo_cameras.doubts_of_lenses(bodies, lens)[0]
+    )
+    assert photo_cameras.doubts_of_lenses(tele, None) == []
+    upright = photo("upright.jpg", 35, 40, 60)
+    assert "turned when they were saved" in photo_cameras.doubts_of_lenses([*wide, upright], None)[0]
+    with pytest.raises(package.InputError, match="40 x 60 pixels.*for 60 x 40; it was turned when it was saved"):
+        photo_cameras.group_by_camera([*wide, upright], lens)
+    with pytest.raises(package.InputError, match="leave the camera out"):
+        photo_cameras.group_by_camera([*wide, photo("small.jpg", 35, 30, 20)], lens)
+
+
+def test_a_photograph_that_is_there_twice_is_refused(photo_station: Path, fake_colmap: Path, tmp_path: Path) -> None:
+    views = photo_station.parent / "views"
+    assert malus_here("check", photo_station).code == 0
+    shutil.copy(views / "view 0.jpg", views / "view 0 (1).jpg")
+    for number in range(9):
+        with Image.open(views / f"view {number % 3 + 1}.jpg") as image:
+            image.save(views / f"view {number % 3 + 1}.{('tif', 'png', 'jpeg')[number // 3]}")
+    for command in (("check", photo_station), ("run", photo_station, "-o", tmp_path / "work")):
+        outcome = malus_here(*command)
+        said = " ".join(outcome.err.split())
+        assert outcome.code == 2 and "view 0 (1).jpg and view 0.jpg; view 1.jpeg and view 1.jpg;" in said
+        assert "and 4 more are the same photographs" in said
+    edit(photo_station, 'folder = "views"', 'folder = "views"\nexclude = ["* (1).jpg", "*.tif", "*.png", "*.jpeg"]')
+    assert malus_here("check", photo_station).code == 0
+    with (views / "view 3.jpg").open("r+b") as file:  # of the same length as its copy, and different at its end
+        shutil.copy(views / "view 3.jpg", views / "other.jpg")
+        file.seek(-3, os.SEEK_END)
+        file.write(b"x")
+    assert malus_here("check", photo_station).code == 0
 
 
 def test_copies_are_stretched_to_the_full_range() -> None:

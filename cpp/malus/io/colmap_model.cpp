@@ -30,7 +30,13 @@ constexpr ModelId model_ids[] = {{0, "SIMPLE_PINHOLE", 3},
                                  {8, "SIMPLE_RADIAL_FISHEYE", 4, false},
                                  {9, "RADIAL_FISHEYE", 5, false},
                                  {10, "THIN_PRISM_FISHEYE", 12, false},
-                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, false}};
+                                 {11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, false},
+                                 {12, "SIMPLE_DIVISION", 4, false},
+                                 {13, "DIVISION", 5, false},
+                                 {14, "SIMPLE_FISHEYE", 3, false},
+                                 {15, "FISHEYE", 4, false},
+                                 {16, "EUCM", 6, false},
+                                 {17, "EQUIRECTANGULAR", 2, false}};
 
 /// COLMAP's model with this name or number, or null.
 template <class Key>

@@ -178,6 +178,8 @@ class SurfaceSweep {
     rate_ = photos_.parallax(level_);
   }
 
+  bool halves_are_comparable() const { return photos_.places() >= 3; }
+
   bool is_known() const { return input_.surface.count() > 0; }
 
   /// Number of levels whose offsets reach the known surface's standard deviation nearly everywhere. More levels would
@@ -226,7 +228,7 @@ class SurfaceSweep {
             .best = std::min(options_.best_views, static_cast<int>(level_.views.size())),
             .max_views = options_.max_views,
             .noise_variance = static_cast<float>(options_.noise * options_.noise),
-            .compare_halves = level_.reduction == 1 && level_.views.size() >= 3};
+            .compare_halves = level_.reduction == 1 && halves_are_comparable()};
   }
 
   /// Coarsest level: a surface through the triangulated points, then a sweep over that surface's range.
@@ -289,13 +291,13 @@ class SurfaceSweep {
   void finish() {
     result_.views_total = photos_.total();
     result_.views_used = static_cast<int>(level_.views.size());
-    result_.halves_compared = level_.views.size() >= 3;
+    result_.halves_compared = halves_are_comparable();
     if (!result_.halves_compared) {
       context_.log(LogLevel::warning,
-                   "surface sweep: " + std::to_string(result_.views_used) +
-                       " usable photo(s): too few photos to compare two groups of them; the standard "
-                       "deviation is only estimated from the correlation; at least 3 photos are "
-                       "needed, 8 or more are good");
+                   "surface sweep: " + std::to_string(result_.views_used) + " usable photo(s) from " +
+                       std::to_string(photos_.places()) +
+                       " place(s): too few photos to compare two groups of them; the standard deviation is only "
+                       "estimated from the correlation; photos from at least 3 places are needed, 8 or more are good");
     }
     judge_pass();
     // If most of the surface shows mirror images, highlights do not stand out, so they are not searched.

@@ -58,7 +58,7 @@ struct SweepResult {
   double highlights = 0;        ///< share of the mask left out as highlights or pixels next to them
   double median_score = 0;      ///< of the pixels kept
   double median_sigma_gsd = 0;
-  bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs three photos
+  bool halves_compared = false;  ///< two disjoint subsets of photos were compared; needs photos from three places
   std::vector<SweepPassReport> passes;
 
   MALUS_FIELDS(views_total, views_used, points_total, points_used, completeness, highlights, median_score,

@@ -16,6 +16,8 @@ namespace {
 constexpr int samples_a_side = 24;
 /// A photo's quality grows with its angle to the station's view up to this angle, and falls beyond twice this angle.
 constexpr double best_angle_rad = to_radians(20);
+/// Photos that see the surface from directions less than this apart were taken from one place, by hand or tripod.
+constexpr double one_place_rad = to_radians(2);
 /// If the sweep's polynomial fits a lens with a larger error, this is logged.
 constexpr double largest_fit_error_px = 0.05;
 /// Photos with a shorter side below this are not halved.
@@ -63,6 +65,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
   const std::vector<Eigen::Vector2i> samples = sample_pixels(level.mask, log_depth);
   for (Photo& photo : photos_) {
     std::vector<double> parallax, resolution, angle;
+    Eigen::Vector3d directions = Eigen::Vector3d::Zero();
     const Size size = photo.size;
     for (const Eigen::Vector2i& sample : samples) {
       constexpr double delta = 1e-3;
@@ -77,6 +80,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
       parallax.push_back((farther - pixel).norm() / delta / scale);
       const Eigen::Vector3d away = (photo.projection.center_in_station() - point).normalized();
       angle.push_back(std::acos(std::clamp(-away.dot(point.normalized()), -1.0, 1.0)));
+      directions += away;
     }
     photo.parallax = median(parallax);
     photo.resolution = resolution.empty() ? 1 : median(resolution);
@@ -85,6 +89,7 @@ void ViewChoice::measure(const MatchLevel& level, const Image<float>& log_depth)
     photo.sees = !angle.empty() && a <= to_radians(options_.max_angle_deg);
     const bool usable = photo.sees && photo.parallax > 0;
     photo.quality = usable ? share * std::min(1.0, a / best_angle_rad) * std::min(1.0, 2 * best_angle_rad / a) : 0;
+    photo.direction = directions.normalized();
     const Eigen::Vector3d& center = photo.projection.center_in_station();
     photo.azimuth_rad = std::atan2(center.y(), center.x());
   }
@@ -114,7 +119,15 @@ void ViewChoice::split() {
     used.pop_back();
   }
   std::sort(used.begin(), used.end(), [](const Photo* a, const Photo* b) { return a->azimuth_rad < b->azimuth_rad; });
-  for (std::size_t k = 0; k < used.size(); ++k) used[k]->subset = static_cast<int>(k % 2);
+  // Photos from one place see the same mirror images and make the same mistakes: if one of them were in either half,
+  // the halves would agree on these. So they stay together.
+  places_ = 0;
+  for (auto photo = used.begin(); photo != used.end(); ++photo) {
+    const auto same = std::find_if(used.begin(), photo, [&](const Photo* other) {
+      return other->direction.dot((*photo)->direction) > std::cos(one_place_rad);
+    });
+    (*photo)->subset = same != photo ? (*same)->subset : places_++ % 2;
+  }
 }
 
 void ViewChoice::choose(const MatchLevel& level, const Image<float>& log_depth) {

@@ -23,11 +23,13 @@ class ViewChoice {
 
   int total() const { return static_cast<int>(photos_.size()); }
   /// Chooses the photos that see the surface well, under an angle that is neither too flat nor nearly the station's
-  /// own, and splits them into two halves of similar viewing directions. Throws a data error if no photo sees the
-  /// surface well.
+  /// own, and splits them into two halves of similar viewing directions; photos from one place are in the same half.
+  /// Throws a data error if no photo sees the surface well.
   void choose(const MatchLevel& level, const Image<float>& log_depth);
   /// Numbers of the photos that see the surface within the largest angle, whether they were chosen or not.
   std::vector<std::size_t> seeing() const;
+  /// Number of places that the chosen photos were taken from.
+  int places() const { return places_; }
   /// Median parallax of the chosen photos, px of the level per unit of ln z.
   double parallax(const MatchLevel& level) const;
   /// Sets level.views to the photos chosen, each at the level of its pyramid that matches the station's resolution;
@@ -57,6 +59,8 @@ class ViewChoice {
     bool sees = false;       ///< the surface, within the largest angle
     double azimuth_rad = 0;  ///< direction of the camera's center around the station's axis
     int subset = 0;
+    /// Mean direction from the surface to the camera.
+    Eigen::Vector3d direction = Eigen::Vector3d::Zero();
   };
 
   void measure(const MatchLevel& level, const Image<float>& log_depth);
@@ -65,6 +69,7 @@ class ViewChoice {
   Pinhole station_;
   SweepOptions options_;
   std::vector<Photo> photos_;
+  int places_ = 0;
 };
 
 }  // namespace malus

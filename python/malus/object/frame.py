@@ -15,7 +15,7 @@ from malus.camera import Camera
 from malus.errors import DataError, MalusError
 from malus.object.definition import Object
 from malus.photogrammetry import Outline, exclusive, find_object_cameras
-from malus.photogrammetry.photos import photos_of, require_usable_masks
+from malus.photogrammetry.photos import photos_of, require_different, require_usable_masks
 from malus.photogrammetry.shared_frame import save_cameras, save_failure
 from malus.reconstruction import unpolarized_scene
 
@@ -49,7 +49,9 @@ def find_frame(thing: Object, output: Path, threads: int, say: Callable[[str, fl
     """
     assert thing.shared is not None
     # Now, as the stations' polarization takes minutes.
-    require_usable_masks(photos_of(thing.shared["photos"]))
+    photos = photos_of(thing.shared["photos"])
+    require_different(photos)
+    require_usable_masks(photos)
     folder, options = output / "photogrammetry", thing.campaign.options
     kept = folder / "stations"
     warnings = thing.unmasked()

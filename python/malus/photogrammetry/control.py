@@ -20,6 +20,9 @@ _LEAST_POINTS = 3
 #: A larger standard deviation of a coordinate, as a share of the points' extent, gives a warning.
 _LARGE = 0.005
 
+#: Points lie in one plane if they spread less across it than this share of their spread along it: exchanged axes fit them, too.
+_FLAT = 0.02
+
 
 def require_control_points(said: Mapping[str, Any], photos: Sequence[str]) -> None:
     """Check that the control points of `Station.describe` can give a frame to these photos, before hours go into matching the photos.
@@ -69,6 +72,12 @@ def adjust_datum(
     views = [(name, cameras[name].values()) for name in names]
     datum: dict[str, Any] = _core.adjust_datum(views, known)
     _warn(datum, known, log)
+    if _seen_from_below(datum, known, cameras):
+        log(
+            "warning",
+            "[[control]]: all points lie in one plane, and the photos were taken from below it, where Z is smaller. Are X and Y exchanged, "
+            "so that the surface is turned inside out? A point outside of the plane would show it",
+        )
     return datum
 
 
@@ -87,6 +96,20 @@ def _warn(datum: Mapping[str, Any], known: Sequence[Any], log: Log) -> None:
             f"[[control]] {datum['doubtful']}: without this point the others fit far better; are its marks and its "
             "coordinates right?",
         )
+
+
+def _seen_from_below(datum: Mapping[str, Any], known: Sequence[Any], cameras: Mapping[str, Camera]) -> bool:
+    """Whether the points lie in a plane that is rather level, and all cameras below it."""
+    places = np.array([xyz for _, xyz, _, check in known if not check])
+    center = places.mean(axis=0)
+    _, spread, axes = np.linalg.svd(places - center)
+    up = axes[2] * np.sign(axes[2, 2])
+    if spread[2] > _FLAT * spread[0] or up[2] < np.sqrt(0.5):
+        return False
+    poses = [camera.pose() for camera in cameras.values()]
+    stands = np.array([-rotation.T @ translation for rotation, translation in poses])
+    heights = (datum["scale"] * stands @ np.transpose(datum["rotation"]) + datum["translation"] - center) @ up
+    return bool((heights < 0).all())
 
 
 def move_model(source: Path, target: Path, datum: Mapping[str, Any]) -> None:

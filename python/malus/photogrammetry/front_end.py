@@ -26,7 +26,7 @@ from malus.photogrammetry.diagnosis import Log, silent
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
-from malus.photogrammetry.photo_cameras import PhotoCameras, enough_photos_of, solve_photos
+from malus.photogrammetry.photo_cameras import PhotoCameras, doubts_of_lenses, enough_photos_of, solve_photos
 from malus.photogrammetry.photos import Photo, describe_photo, require_usable_masks
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import adjust_scale, require_scale
@@ -192,7 +192,10 @@ def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCa
     require_scale(said, names)
     bench.report("copies", 0.0, "masks of the photos")
     require_usable_masks(photos)
-    solved = solve_photos(bench, photos, known_lens(said["photos"]["camera"], bench.log))
+    known = known_lens(said["photos"]["camera"], bench.log)
+    for doubt in doubts_of_lenses(photos, known):
+        bench.log("warning", doubt)
+    solved = solve_photos(bench, photos, known)
     relief = solved.model.relief()
     if not solved.calibrated and relief < diagnosis.FLAT_RELIEF:
         raise DataError(diagnosis.unknown_focal_on_flat_scene(relief))
@@ -277,7 +280,7 @@ def _photo_of_same_camera(
     first = describe_photo(Path(station["images"][0]), "station") if station["images"] else None
     if first is not None and (first.height, first.width) == shape:
         for photo in photos:
-            if photo.name in model.images and photo.camera_key == first.camera_key:
+            if photo.name in model.images and photo.may_share_lens(first):
                 log(
                     "warning",
                     f"the station's lens is not given ([camera] is missing); that of the photos is used, since {photo.name} "

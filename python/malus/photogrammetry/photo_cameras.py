@@ -17,10 +17,17 @@ from malus.camera import Camera
 from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.diagnosis import Log
+from malus.photogrammetry.diagnosis import Log, listed
 from malus.photogrammetry.journal import UNFINISHED
 from malus.photogrammetry.model import SparseModel, reader_options
-from malus.photogrammetry.photos import Photo, other_images, photos_of, write_proxy
+from malus.photogrammetry.photos import (
+    Photo,
+    other_images,
+    photos_of,
+    require_different,
+    stray_masks,
+    write_proxy,
+)
 from malus.photogrammetry.program import SearchStoppedError
 
 #: Lens model that is calibrated from the photos.
@@ -35,6 +42,7 @@ _PLACING_MATCHES = 30
 #: Message of COLMAP's mapper if photos match but no pair of them fixes the geometry. This is not a failure of the program.
 _NO_MODEL = "failed to create sparse model"
 _PHOTOS_A_SEARCH_LIMIT = 20
+_UNTURNED = "save it with its pixels as the camera wrote them, whatever its EXIF orientation"
 #: Least number of photos of a lens for an adjustment to separate the principal point from the poses.
 MIN_PHOTOS_PRINCIPAL_POINT = 6
 
@@ -52,6 +60,13 @@ class CameraGroup:
         """Focal length in pixels from the EXIF data; None if unknown."""
         return self.photos[0].focal_px
 
+    @property
+    def title(self) -> str:
+        """Camera, lens, their serial numbers and focal length from the EXIF data, for messages."""
+        first = self.photos[0]
+        focal = f"{first.focal_mm:g} mm" if first.focal_mm else f"{first.focal_px:.0f} px" if first.focal_px else ""
+        return ", ".join(filter(None, (first.maker, first.serial, focal)))
+
     def reader(self) -> dict[str, object]:
         """Options of COLMAP's image reader."""
         if self.known is not None:
@@ -68,15 +83,42 @@ def group_by_camera(photos: Sequence[Photo], known: Camera | None) -> list[Camer
     if known is not None:
         for photo in photos:
             if (photo.width, photo.height) != (known.width, known.height):
+                advice = "exclude the photo or leave the camera out"
+                if (photo.height, photo.width) == (known.width, known.height):
+                    advice = f"it was turned when it was saved: {_UNTURNED}, or exclude it"
                 raise InputError(
                     f"{photo.path} has {photo.width} x {photo.height} pixels, but [photos].camera is for "
-                    f"{known.width} x {known.height}; exclude the photo or leave the camera out"
+                    f"{known.width} x {known.height}; {advice}"
                 )
         return [CameraGroup(list(photos), known)]
     groups: dict[tuple[object, ...], list[Photo]] = {}
     for photo in photos:
         groups.setdefault(photo.camera_key, []).append(photo)
     return [CameraGroup(members, None) for members in groups.values()]
+
+
+def doubts_of_lenses(photos: Sequence[Photo], known: Camera | None) -> list[str]:
+    """Warnings about photos of several lenses: of others than the calibrated one, or of one that too few photos share."""
+    groups = group_by_camera(photos, None)
+    if known is not None:
+        stated = [group for group in groups if group.photos[0].maker or group.photos[0].focal_mm or group.focal_px]
+        kinds = [f"{group.title} ({listed([photo.name for photo in group.photos])})" for group in stated]
+        if len(kinds) < 2:
+            return []
+        return [
+            f"[photos].camera is one lens at one zoom, but by their EXIF data the photos are of {len(kinds)}: {'; '.join(kinds)}. "
+            "With a lens that is not theirs, photos bend the surface: exclude them, or leave the camera out"
+        ]
+    few = [photo.name for group in groups if len(group.photos) < MIN_PHOTOS for photo in group.photos]
+    if len(groups) < 2 or not few:
+        return []
+    sizes = {(photo.width, photo.height) for photo in photos}
+    turned = any(width != height and (height, width) in sizes for width, height in sizes)
+    return [
+        f"[photos]: by size and EXIF data the photos are of {len(groups)} cameras, lenses or zooms; {listed(few)} share theirs with too "
+        f"few others to calibrate it well, expected {MIN_PHOTOS} photos or more of each"
+        + (f"; photos that were turned when they were saved count as others: {_UNTURNED}" if turned else "")
+    ]
 
 
 @dataclass(frozen=True)
@@ -103,8 +145,15 @@ def enough_photos_of(said: Mapping[str, Any], log: Log) -> list[Photo]:
     others = other_images(said, photos)
     if len(photos) < MIN_PHOTOS:
         raise DataError(diagnosis.too_few_photos(len(photos), MIN_PHOTOS, others))
+    require_different(photos)
     if others:
         log("warning", f"[photos]: {others} cannot be read as photos, expected PNG, TIFF or JPEG")
+    if stray := stray_masks(said):
+        log(
+            "warning",
+            f"[photos] masks: {listed(stray)}: {'is' if len(stray) == 1 else 'are'} the mask of no photo, expected a name such as "
+            f"{photos[0].name}.png for {photos[0].name}",
+        )
     return photos
 
 

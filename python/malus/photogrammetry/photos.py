@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags
 
 from malus import _core, raw
-from malus._files import natural, require_utf8
+from malus._files import natural, open_regular, reading, require_utf8, sha256_of
 from malus._patterns import MOST_NAMES
 from malus.errors import InputError, MalusError
 from malus.exif import number_of, positive, tags_of
@@ -25,6 +25,8 @@ from malus.workspace import is_result
 
 #: Diagonal of the 36 × 24 mm frame to which 35-mm-equivalent focal lengths refer.
 _FULL_FRAME_DIAGONAL_MM = 43.27
+#: Relative difference up to which a focal length agrees with its 35-mm equivalent, which is rounded and need not be by the diagonal.
+_ROUNDED_FILM = 0.15
 #: Suffixes of images of cameras and phones that cannot be read as photos, in small letters.
 _OTHER_SUFFIXES = raw.SUFFIXES | {".heic", ".heif", ".webp", ".avif"}
 #: Most masks whose faults a message describes.
@@ -50,41 +52,57 @@ class Photo:
     focal_mm: float | None = None
     """Focal length in millimeters from the EXIF data, which may not tell the size of a pixel; None if unknown."""
 
+    serial: str = ""
+    """Serial numbers of camera and lens from the EXIF data; empty if unknown."""
+
     @property
-    def camera_key(self) -> tuple[int, int, str, float | None, float | None]:
+    def camera_key(self) -> tuple[int, int, str, str, float | None, float | None]:
         """Key that is the same for photos of one camera, lens and focal length."""
         if self.focal_px is not None:
-            return self.width, self.height, self.maker, round(self.focal_px, 1), None
-        return self.width, self.height, self.maker, None, self.focal_mm
+            return self.width, self.height, self.maker, self.serial, round(self.focal_px, 1), None
+        return self.width, self.height, self.maker, self.serial, None, self.focal_mm
+
+    def may_share_lens(self, other: Photo) -> bool:
+        """Whether two files do not say that they are of different cameras, lenses or focal lengths. Programs that develop photos may leave
+        serial numbers out.
+        """
+        if not (self.serial and other.serial):
+            return replace(self, serial="").camera_key == replace(other, serial="").camera_key
+        return self.camera_key == other.camera_key
 
 
-def _exif(path: Path, width: int, height: int) -> tuple[str, float | None, float | None]:
-    """Camera and lens ("" if unknown), and the focal length in pixels and in millimeters (None if unknown), from the
-    file's EXIF data.
-    """
-    said = tags_of(path)
+def _words_of(said: Mapping[int, Any], *tags: int) -> str:
+    """The texts of some tags; empty if the file has none of them."""
+    return " ".join(str(said[tag]).strip("\x00 ") for tag in tags if said.get(tag))
+
+
+def _focal_lengths(said: Mapping[int, Any], width: int, height: int) -> tuple[float | None, float | None]:
+    """The focal length in pixels and in millimeters (None if unknown), from a file's EXIF data."""
     tags = ExifTags.Base
-    names = [said.get(tags.Make), said.get(tags.Model), said.get(tags.LensModel)]
-    maker = " ".join(str(name).strip("\x00 ") for name in names if name)
     focal_mm = positive(said.get(tags.FocalLength))
     resolution = positive(said.get(tags.FocalPlaneXResolution))
     unit = _MM_PER_RESOLUTION_UNIT.get(number_of(said.get(tags.FocalPlaneResolutionUnit)) or 2, 25.4)
     written = positive(said.get(tags.ExifImageWidth))
+    equivalent = positive(said.get(tags.FocalLengthIn35mmFilm))
+    by_film = equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height) if equivalent else None
     if focal_mm and resolution:
         # The resolution refers to the image as the camera wrote it.
         scale = max(width, height) / max(written or width, positive(said.get(tags.ExifImageHeight)) or height)
-        return maker, focal_mm * resolution / unit * scale, focal_mm
-    equivalent = positive(said.get(tags.FocalLengthIn35mmFilm))
-    if equivalent:
-        return maker, equivalent / _FULL_FRAME_DIAGONAL_MM * math.hypot(width, height), focal_mm
-    return maker, None, focal_mm
+        by_pixels = focal_mm * resolution / unit * scale
+        # Programs that develop or resize photos and write their new size may keep the resolution of the old one.
+        if by_film is None or abs(by_pixels - by_film) < _ROUNDED_FILM * by_film:
+            return by_pixels, focal_mm
+    return by_film, focal_mm
 
 
 def describe_photo(path: Path, name: str) -> Photo:
     """Size and EXIF data of one file, which may be a camera's RAW file. Raises InputError if the file is not a readable image."""
     width, height = raw.image_size(path)
-    maker, focal_px, focal_mm = _exif(path, width, height)
-    return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm)
+    said, tags = tags_of(path), ExifTags.Base
+    maker = _words_of(said, tags.Make, tags.Model, tags.LensModel)
+    serial = _words_of(said, tags.BodySerialNumber, tags.LensSerialNumber)
+    focal_px, focal_mm = _focal_lengths(said, width, height)
+    return Photo(name, path, width, height, maker, focal_px, focal_mm=focal_mm, serial=serial)
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -166,6 +184,51 @@ def photos_of(said: Mapping[str, Any]) -> list[Photo]:
     masks = None if said["masks"] is None else Path(said["masks"])
     photos = list_photos(Path(said["folder"]), said["exclude"], masks)
     return photos if masks is None else with_masks(photos, masks)
+
+
+def stray_masks(said: Mapping[str, Any]) -> list[str]:
+    """Images in the folder of masks of a [photos] table that are the mask of no photo, not even of an excluded one; none if the
+    photos are in that folder, too.
+    """
+    if said["masks"] is None or Path(said["folder"]).is_relative_to(said["masks"]):
+        return []
+    folder = Path(said["masks"])
+    known = {mask for name in photo_files(Path(said["folder"]), [], folder) for mask in _mask_names(name)}
+    return sorted(
+        (name for name, _ in _images_below(folder, None, raw.IMAGE_SUFFIXES) if name not in known), key=natural
+    )
+
+
+def _sample(path: Path) -> tuple[int, bytes]:
+    """Length and some bytes of a file."""
+    with reading(path), open_regular(path) as file:
+        length = file.seek(0, os.SEEK_END)
+        file.seek(length // 2)
+        return length, file.read(65536)
+
+
+def require_different(photos: Sequence[Photo]) -> None:
+    """InputError if a photograph is among the photos twice: as a copy, or saved in two formats under one name.
+
+    The sweep takes it for two observations that confirm each other. COLMAP would find both at one place.
+    """
+    first_of: dict[Path | str, Photo] = {}
+    twice = []
+    samples = [_sample(photo.path) for photo in photos]
+    for photo, sample in zip(photos, samples, strict=True):
+        same: list[Path | str] = [photo.path.with_suffix("")]
+        if samples.count(sample) > 1:  # Of most photos the sample tells, and the whole file need not be read.
+            same.append(sha256_of(photo.path))
+        first = next((first_of[key] for key in same if key in first_of), photo)
+        if first is not photo:
+            twice.append(f"{first.name} and {photo.name}")
+        for key in same:
+            first_of.setdefault(key, first)
+    if twice:
+        raise InputError(
+            f"[photos]: {_told(twice)} are the same photograph{'s' * (len(twice) > 1)}, expected each once: the copies would confirm "
+            'what one of them shows; remove them, or name them in exclude = ["…"]'
+        )
 
 
 def _mask_names(photo: str) -> list[str]:

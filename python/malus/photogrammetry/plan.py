@@ -14,7 +14,7 @@ from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
 from malus.photogrammetry.marks import require_marks_in_photos
-from malus.photogrammetry.photo_cameras import enough_photos_of, group_by_camera, pairs_to_match
+from malus.photogrammetry.photo_cameras import doubts_of_lenses, enough_photos_of, group_by_camera, pairs_to_match
 from malus.photogrammetry.photos import require_usable_masks
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.scale import require_scale
@@ -92,6 +92,7 @@ def plan(
     program = Colmap(threads, options.photos.backend)
     known = known_lens(said.get("camera"), lambda _, message: warnings.append(message))
     groups = group_by_camera(photos, known)
+    warnings += doubts_of_lenses(photos, known)
     pairs = pairs_to_match(names, options.photos.exhaustive_limit)
     lens = "calibrated lens" if known is not None else f"{len(groups)} self-calibrated lens{'es' * (len(groups) > 1)}"
     does = [

@@ -19,6 +19,8 @@ from malus.photogrammetry.photos import Photo, read_gray, to_bytes
 
 #: Residuals of more standard deviations are likely mistakes.
 _SUSPICIOUS = 4.0
+#: A larger standard deviation of the size, as a share of it, is an error if marks and distances contradict each other.
+_UNKNOWN_SIZE = 0.02
 
 Mark = tuple[str, float, float]
 #: Target id → marks of the target in the photos, for one dictionary.
@@ -88,7 +90,8 @@ def adjust_scale(
     """Scale (station units per model unit) from the [[scale]] tables of a station, with residuals and standard deviations.
 
     cameras: registered photos by name, in the model's frame. Distances that cannot be measured are left out with a
-    warning. None when the station has no [[scale]]; DataError when none of its distances can be measured.
+    warning. None when the station has no [[scale]]; DataError when none of its distances can be measured, InputError when marks and
+    distances contradict each other so much that the size is not known to two percent.
     """
     if not bars:
         log("warning", NO_SIZE)
@@ -112,6 +115,7 @@ def adjust_scale(
         raise DataError(f"[[scale]]: no distance determines the scale, expected one without check = true{why}")
     views = [(name, cameras[name].values()) for name in names]
     result: dict[str, Any] = _core.adjust_scale(views, distances)
+    _require_fit(result)
     _warn(result, log)
     return result
 
@@ -128,18 +132,35 @@ def _reason(number: int, bar: Mapping[str, Any], ends: _Ends, registered: Mappin
     return f"[[scale]] {number} is marked in photos without a position ({listed(missing)}), fewer than two are left at an end"
 
 
+def _disagree(result: Mapping[str, Any]) -> bool:
+    return bool(result["redundancy"] > 0 and result["unit_weight"] > _SUSPICIOUS)
+
+
+def _worst_mark(result: Mapping[str, Any]) -> str:
+    worst = max(result["distances"], key=lambda fit: float(fit["worst_px"]))
+    return f"the worst mark is that of {worst['name']} in {worst['worst_image']}, {worst['worst_px']:.1f} px off"
+
+
+def _require_fit(result: Mapping[str, Any]) -> None:
+    share = result["sigma"] / result["scale"]
+    if _disagree(result) and share > _UNKNOWN_SIZE:
+        raise InputError(
+            f"[[scale]]: marks and distances do not fit, so that the size is known to {100 * share:.2g} % only; "
+            f"{_worst_mark(result)}. Is the same point marked in every photo, in a and in b, and is each distance in the station's unit?"
+        )
+
+
 def _warn(result: Mapping[str, Any], log: Log) -> None:
     if result["status"] != "converged":
         log(
             "warning",
             "[[scale]]: the size was still changing when its adjustment ended; are all marks where they should be?",
         )
-    if result["redundancy"] > 0 and result["unit_weight"] > _SUSPICIOUS:
-        worst = max(result["distances"], key=lambda fit: float(fit["worst_px"]))
+    if _disagree(result):
         log(
             "warning",
-            f"[[scale]]: marks and distances disagree by {result['unit_weight']:.1f} times their standard deviation; the "
-            f"worst mark is that of {worst['name']} in {worst['worst_image']}, {worst['worst_px']:.1f} px off",
+            f"[[scale]]: marks and distances disagree by {result['unit_weight']:.1f} times their standard deviation; "
+            + _worst_mark(result),
         )
     for fit in result["distances"]:
         if abs(fit["residual"]) > _SUSPICIOUS * fit["sigma"]:

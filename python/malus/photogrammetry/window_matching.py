@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from malus import _core
 from malus.photogrammetry import database
 from malus.photogrammetry.bench import Bench
-from malus.photogrammetry.diagnosis import listed
+from malus.photogrammetry.diagnosis import Log, listed, silent
 from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import MIN_PHOTOS_PRINCIPAL_POINT, PhotoCameras
 from malus.photogrammetry.photos import Photo
 from malus.photogrammetry.station_pose import GAMMA, PlacedStations, StationView, titled
+
+#: A given lens is doubted if the images show a focal length that differs by more than this share and so many standard deviations.
+_OTHER_FOCAL, _OTHER_SIGMAS = 0.01, 8.0
 
 
 def match_windows(
@@ -32,7 +35,8 @@ def match_windows(
 
     Lenses of stations (by image name) are held fixed if they are known, and the photos' lens if it was given. For points that the
     first placed station sees, the windows are taken from its image. A warning names images with few matches, which follow the others by
-    their features; if that station is among them, the model does not change. Returns the stations in the adjusted model, and figures for quality.json; None if windows are not to be matched.
+    their features; if that station is among them, the model does not change. Others name given lenses whose focal lengths are not those
+    that the images show. Returns the stations in the adjusted model, and figures for quality.json; None if windows are not to be matched.
     """
     options = bench.options.photos
     if not options.match_windows:
@@ -54,15 +58,24 @@ def match_windows(
         pictures |= {image: coded(view.unpolarized) for image, view in views.items()}
         model = _core.ColmapModel.read(str(placed.folder))
         quoted = {database.quoted(name): what for name, what in freedom.items()}
-        figures = model.refine(
-            pictures, next(filter(placed.has, views)), quoted, bench.options.to_json(), bench.colmap.threads, bench.log
-        )
+        preferred = next(filter(placed.has, views))
+
+        def refined(lenses: Mapping[str, str], log: Log) -> dict[str, Any]:
+            return model.refine(pictures, preferred, dict(lenses), bench.options.to_json(), bench.colmap.threads, log)
+
+        figures = refined(quoted, bench.log)
         target = bench.folder / "matched"
         if figures["status"] == "too few matches":
             shutil.copytree(placed.folder, target)
         else:
             target.mkdir(parents=True)
             model.write(str(target))
+            bench.report("windows", 0.5, "given lenses beside those that the images show")
+            given = (
+                [database.quoted(min(solved.model.images.keys() & placed.model.images))] if solved.calibrated else []
+            )
+            given += [image for image, view in views.items() if view.lens is not None and placed.has(image)]
+            figures["given_lenses"] = _compared(model, given, lambda lenses: refined(quoted | lenses, silent))
         figures["lens_sigma"] = [
             {"image": database.unquoted(name), "sigma": sigma} for name, sigma in figures["lens_sigma"].items()
         ]
@@ -74,6 +87,33 @@ def match_windows(
     _warn(bench, figures, views)
     folder = bench.folder / "matched"
     return replace(placed, folder=folder, model=SparseModel.read(folder)), figures
+
+
+def _compared(
+    model: _core.ColmapModel, given: Sequence[str], refined: Callable[[dict[str, str]], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Focal lengths of the given lenses, by the names of an image of each, beside those that the images show: with a wrong one, all
+    other cameras and points give way, and nearly fit. The model is changed.
+    """
+
+    def focal_lengths() -> dict[str, float]:
+        images = model.images()
+        return {name: float(images[name][0][3][0]) for name in given}
+
+    before = focal_lengths()
+    free = refined(dict.fromkeys(given, "without_principal_point"))
+    after = focal_lengths()
+    sigmas = free["lens_sigma"] if free["status"] == "converged" else {}
+    return [
+        {
+            "image": database.unquoted(name),
+            "focal_px": before[name],
+            "found_px": after[name],
+            "sigma_px": float(sigmas[name][0]),
+        }
+        for name in given
+        if name in sigmas
+    ]
 
 
 def coded(unpolarized: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -118,6 +158,18 @@ def _warn(bench: Bench, figures: dict[str, Any], stations: Mapping[str, StationV
             f"least-squares matching found too few windows in {listed(few)}: placed by features alone, so that "
             "they may be turned about the object by some hundredths of a degree",
         )
+    for lens in figures.get("given_lenses", ()):
+        off = abs(lens["found_px"] - lens["focal_px"])
+        if off > max(_OTHER_FOCAL * lens["focal_px"], _OTHER_SIGMAS * lens["sigma_px"]):
+            image = lens["image"]
+            table = f"[camera] of {titled(image, stations)}" if image in stations else "[photos].camera"
+            bench.log(
+                "warning",
+                f"{table} has a focal length of "
+                f"{lens['focal_px']:.0f} px, but the images show one of {lens['found_px']:.0f} px (± {lens['sigma_px']:.2g} px). With a "
+                "wrong one the surface is stretched: is it the calibration of this camera, at this zoom and focus, and for images of "
+                "this size?",
+            )
     for lens in figures["lens_sigma"]:
         if lens["image"] in stations:
             bench.log(

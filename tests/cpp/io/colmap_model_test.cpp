@@ -182,6 +182,26 @@ TEST(ColmapModel, ImagesOfFisheyeCamerasAreLeftOut) {
   rejects(of_binary, "view 00.jpg");
 }
 
+TEST(ColmapModel, ImagesOfCamerasThatColmapHadLaterAreLeftOut) {
+  const TemporaryFolder text, binary;
+  text.write("cameras.txt", "1 EQUIRECTANGULAR 9 8 9 8\n2 EUCM 9 8 5 5 4 4 0.5 1\n3 PINHOLE 9 8 5 5 4 4\n");
+  text.write("images.txt", "1 1 0 0 0 0 0 5 1 a.jpg\n\n2 1 0 0 0 0 0 5 2 b.jpg\n\n3 1 0 0 0 0 0 5 3 c.jpg\n\n");
+  write_colmap_model(binary.path(), some_model());
+  std::string cameras = read_file(binary / "cameras.bin", "model");
+  cameras[100] = 12;  // the second camera's model is SIMPLE_DIVISION, with as many parameters
+  binary.write("cameras.bin", cameras);
+  const ColmapModel of_text = read_colmap_model(text.path()), of_binary = read_colmap_model(binary.path());
+  EXPECT_EQ(of_text.image("c.jpg", "test").camera_id, 3U);
+  EXPECT_EQ(of_binary.image("view 00.jpg", "test").camera_id, 1U);
+  const auto rejects = [](const ColmapModel& read, const std::string& name, const std::string& camera) {
+    expect_error(
+        ErrorCode::input, [&] { read.image(name, "test"); }, camera, "image_undistorter");
+  };
+  rejects(of_text, "a.jpg", "EQUIRECTANGULAR");
+  rejects(of_text, "b.jpg", "EUCM");
+  rejects(of_binary, "sub/station.jpg", "SIMPLE_DIVISION");
+}
+
 TEST(ColmapModel, TruncatedAndDamagedBinariesAreInputErrors) {
   const TemporaryFolder folder;
   write_colmap_model(folder.path(), some_model());

@@ -203,6 +203,12 @@ TEST(SweepOfBumps, OneOrTwoPhotosGiveAWarningAndALargerSigma) {
   }
 }
 
+TEST(SweepOfBumps, PhotosThatAreThereTwiceDoNotConfirmEachOther) {
+  std::vector<SweepView> views{bumpy().views.begin(), bumpy().views.begin() + 2};
+  views.insert(views.end(), bumpy().views.begin(), bumpy().views.begin() + 2);
+  EXPECT_FALSE(sweep_surface(bumpy().input, views, test_options(), {}).halves_compared);
+}
+
 TEST(SweepOfBumps, IsTheSameWithMoreThreads) {
   const Context three{.threads = 3};
   const SweepResult a = sweep_surface(bumpy().input, bumpy().views, test_options(), {});

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "malus/core/degrees_internal.h"
 #include "malus/stereo/view_choice_internal.h"
 #include "malus/stereo/view_projection_internal.h"
 #include "sweep_scenes.h"
@@ -95,6 +96,28 @@ TEST(ViewChoice, ReportsTheParallaxOfTheChosenPhotos) {
   const double expected = 125 / distance_mm * focal;
   EXPECT_NEAR(photos.parallax(levels.full) / expected, 1, 0.15);
   EXPECT_DOUBLE_EQ(photos.parallax(levels.half), photos.parallax(levels.full) / 2);
+}
+
+TEST(ViewChoice, KeepsPhotosFromOnePlaceInOneHalf) {
+  Scene scene = make_scene(plane, 4);
+  // A second photo from each place, 1.5° aside as from the hand.
+  for (std::size_t k = 0; k < 4; ++k) {
+    const Eigen::Vector3d toward(0, 0, distance_mm), from = scene.views[k].pose.center() - toward;
+    const Eigen::AngleAxisd aside(to_radians(1.5), from.unitOrthogonal());
+    scene.views.push_back(photo(plane, toward + aside * from, distorted_lens()));
+  }
+  Levels levels(scene);
+  ViewChoice photos(scene.input, scene.views, test_options(), {});
+  photos.choose(levels.half, levels.log_depth);
+  photos.prepare(levels.half, {});
+  EXPECT_EQ(photos.places(), 4);
+  ASSERT_EQ(levels.half.views.size(), 8U);
+  int second_half = 0;
+  for (std::size_t k = 0; k < 4; ++k) {
+    EXPECT_EQ(levels.half.views[k].subset, levels.half.views[k + 4].subset);
+    second_half += levels.half.views[k].subset;
+  }
+  EXPECT_EQ(second_half, 2);
 }
 
 TEST(ViewChoice, FindsAnObjectBetweenTheSampledColumns) {
