@@ -70,12 +70,13 @@ def match_windows(
         else:
             target.mkdir(parents=True)
             model.write(str(target))
-            bench.report("windows", 0.5, "given lenses beside those that the images show")
             given = (
                 [database.quoted(min(solved.model.images.keys() & placed.model.images))] if solved.calibrated else []
             )
             given += [image for image, view in views.items() if view.lens is not None and placed.has(image)]
-            figures["given_lenses"] = _compared(model, given, lambda lenses: refined(quoted | lenses, silent))
+            if given:
+                bench.report("windows", 0.5, "given lenses beside those that the images show")
+                figures["given_lenses"] = _compared(model, given, lambda lenses: refined(quoted | lenses, silent))
         figures["lens_sigma"] = [
             {"image": database.unquoted(name), "sigma": sigma} for name, sigma in figures["lens_sigma"].items()
         ]
