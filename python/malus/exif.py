@@ -128,7 +128,7 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
                 raise InputError(
                     f"{path}: {name} {_shown(tag, value)}{unit}, but {first[0].name} has {_shown(tag, first[1])}{unit}; "
                     "expected the same for all polarized images of a station"
-                    + (" (or exposure_s, if they differ on purpose)" if tag == Base.ExposureTime else "")
+                    + (" (or several exposures at every angle, with exposure_s)" if tag == Base.ExposureTime else "")
                 )
 
 
