@@ -164,3 +164,18 @@ def doubts(images: Sequence[Path], response: str) -> list[tuple[str, str, str]]:
          f"images are linear according to their files ({files}: {said.source}), but response = \"{response}\" decodes them",
          'is response = "linear" right?')
     ]  # fmt: skip
+
+
+def mosaic_doubts(images: Sequence[Path], is_mosaic: bool) -> list[tuple[str, str, str]]:
+    """Check, message and suggestion if the image of a polarization camera is a JPEG file; else an empty list. Neighboring pixels are
+    behind other polarizers, and JPEG drops just the differences between neighbors.
+    """
+    lossy = [path for path in images if is_mosaic and _entries_of(path)[1] == "JPEG"]
+    return [
+        (
+            "texture",
+            f"{path.name} is a JPEG file, whose compression mixes the polarizers of a mosaic's neighboring pixels",
+            "can the camera save PNG or TIFF?",
+        )
+        for path in lossy
+    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -107,13 +107,12 @@ def taken(path: Path) -> str | None:
     return f"{moment.strip()}.{fraction}" if fraction else moment.strip()
 
 
-def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
+def require_alike(images: Sequence[Path], tags: Sequence[Mapping[int, Any]], *, exposures_differ: bool) -> None:
     """InputError that names files and values if a camera setting changed between the images.
 
-    Files that do not state a setting are taken to agree. `exposures_differ`: exposure times are stated in the station file
-    and may differ.
+    `tags`: of each image. Files that do not state a setting are taken to agree. `exposures_differ`: exposure times are stated in the
+    station file and may differ.
     """
-    tags = [tags_of(path) for path in images]
     for tag, (name, unit) in _ALIKE.items():
         if tag == Base.ExposureTime and exposures_differ:
             continue
@@ -128,18 +127,20 @@ def require_alike(images: Sequence[Path], *, exposures_differ: bool) -> None:
                 raise InputError(
                     f"{path}: {name} {_shown(tag, value)}{unit}, but {first[0].name} has {_shown(tag, first[1])}{unit}; "
                     "expected the same for all polarized images of a station"
-                    + (" (or exposure_s, if they differ on purpose)" if tag == Base.ExposureTime else "")
+                    + (" (or several exposures at every angle, with exposure_s)" if tag == Base.ExposureTime else "")
                 )
 
 
-def exposure_doubts(images: Sequence[Path], exposure_s: Sequence[float] | None) -> list[tuple[str, str, str]]:
+def exposure_doubts(
+    images: Sequence[Path], tags: Sequence[Mapping[int, Any]], exposure_s: Sequence[float] | None
+) -> list[tuple[str, str, str]]:
     """Check, message and suggestion if the files' exposure times have other ratios than those of the station file; else an empty list.
 
-    exposure_s: seconds, one per image, or None. Files that do not state an exposure time are taken to agree.
+    `tags`: of each image. exposure_s: seconds, one per image, or None. Files that do not state an exposure time are taken to agree.
     """
     first: tuple[Path, float, float] | None = None
-    for path, stated in zip(images, exposure_s or (), strict=False):
-        seconds = number_of(tags_of(path).get(Base.ExposureTime))
+    for path, of_file, stated in zip(images, tags, exposure_s or (), strict=False):
+        seconds = number_of(of_file.get(Base.ExposureTime))
         if seconds is None or seconds <= 0:
             continue
         first = first or (path, seconds, stated)

@@ -25,6 +25,12 @@ from malus.exif import tags_of
 #: Suffixes of cameras' RAW files, and of other images, in small letters.
 SUFFIXES = frozenset(_core.raw_suffixes)
 IMAGE_SUFFIXES = frozenset(_core.image_suffixes)
+_SETTINGS: dict[int, str] = {
+    Base.ExposureTime: "shutter_speed",
+    Base.ISOSpeedRatings: "iso_speed",
+    Base.FNumber: "aperture",
+    Base.FocalLength: "focal_length",
+}
 _PLANES = {"red": 0, "green": 1, "blue": 2}
 #: To be changed whenever development changes, so that images developed in the old way are not reused from a workspace.
 _RECIPE = "linear 2"
@@ -82,6 +88,22 @@ def is_raw(path: Path) -> bool:
 def is_image(path: Path) -> bool:
     """Whether the file's suffix is that of an image that can be read, RAW or other."""
     return is_raw(path) or path.suffix.lower() in IMAGE_SUFFIXES
+
+
+def settings_of(path: Path) -> dict[int, Any]:
+    """TIFF and EXIF tags of an image; of a RAW file that is not built like TIFF (CR3, RAF, ORF, RW2) those of the camera settings that
+    LibRaw finds.
+    """
+    tags = tags_of(path)
+    if tags or not is_raw(path):
+        return tags
+    with _opened(path) as raw:
+        found = getattr(raw, "other", None)  # older versions of rawpy have none
+    return {
+        tag: float(value)
+        for tag, name in _SETTINGS.items()
+        if (value := getattr(found, name, None)) is not None and value > 0
+    }
 
 
 def develop(

@@ -163,8 +163,11 @@ def _readable(
     if "prior_cloud" in description and scans.is_scan(Path(description["prior_cloud"])):
         core = core.with_cloud(*scans.read_scan(Path(description["prior_cloud"]), description["unit"]))
     images = [Path(path) for path in description["images"]]
-    exif.require_alike(images, exposures_differ=description["exposure_s"] is not None)
-    doubts = encoding.doubts(images, description["response"]) + exif.exposure_doubts(images, description["exposure_s"])
+    tags = [raw.settings_of(path) for path in images]
+    exif.require_alike(images, tags, exposures_differ=description["exposure_s"] is not None)
+    doubts = encoding.doubts(images, description["response"])
+    doubts += exif.exposure_doubts(images, tags, description["exposure_s"])
+    doubts += encoding.mosaic_doubts(images, description["mosaic"] is not None)
     mask = description.get("mask")
     core = core.with_file_doubts(doubts, exif.mask_notes(images, None if mask is None else Path(mask)))
     if not images or not raw.is_raw(images[0]):

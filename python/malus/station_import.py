@@ -24,6 +24,8 @@ from malus.units import METERS
 _FILE_COLUMNS = ("image", "file", "filename", "name")
 _ANGLE_COLUMNS = ("angle_deg", "angle", "polarizer_angle", "polarizer")
 _EXPOSURE_COLUMNS = ("exposure_s", "exposure", "exposure_time")
+#: After this number cameras count from 1, or from 0.
+_LAST_NUMBER = 9999
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,14 @@ def images_of(folder: Path, mask: Path | None) -> list[Path]:
         raise InputError(f"{folder}: no images, expected PNG, TIFF, JPEG or RAW files" + (f" (there are {', '.join(kinds)})" if kinds else ""))  # fmt: skip
     for path in images:
         require_utf8(path)
-    return sorted(images, key=lambda path: natural(path.name))
+    images.sort(key=lambda path: natural(path.name))
+    named: dict[str, Path] = {}
+    for path in images:  # such as a TIFF and its JPEG preview
+        if (other := named.setdefault(path.stem, path)) != path:
+            raise InputError(
+                f"{folder}: {other.name} and {path.name} have the same name, expected one file of each image"
+            )
+    return images
 
 
 def shots_of(
@@ -197,6 +206,7 @@ def shots_of(
             raise InputError(
                 f"--angles has {len(angles)} angles for {len(images)} images ({names}), expected one for each"
             )
+        _require_one_count(images)
         return [Shot(path, angle) for path, angle in zip(images, angles, strict=True)]
     if pattern is not None:
         return [Shot(path, _core.angle_of_name(path, pattern, "--pattern")) for path in images]
@@ -210,6 +220,17 @@ def shots_of(
         return _all_once(shots, images, f"the JSON files of {folder}")
     found = _core.angles_of_names(images, str(folder), f"expected {instead}")
     return [Shot(path, angle) for path, angle in zip(images, found, strict=True)]
+
+
+def _require_one_count(images: list[Path]) -> None:
+    """InputError if the camera's numbers began anew within the series: 0001 follows _LAST_NUMBER, but sorts before it."""
+    numbers = [int(found[1]) if (found := re.search(r"(\d{4,})\D*$", path.stem)) else None for path in images]
+    if _LAST_NUMBER in numbers and (0 in numbers or 1 in numbers):
+        last = images[numbers.index(_LAST_NUMBER)]
+        raise InputError(
+            f"--angles goes by the order of the names, in which {images[0].name} comes first; but the camera counted on to it from "
+            f"{last.name}, expected names in the order of the angles, or a table (--table FILE.csv)"
+        )
 
 
 def _all_once(shots: list[Shot], images: list[Path], source: str) -> list[Shot]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import tifffile
 from PIL import Image, ImageCms, PngImagePlugin
 
 from conftest import edit, malus_here
-from malus.encoding import doubts, encoding_of
+from malus.encoding import doubts, encoding_of, mosaic_doubts
 
 PIXELS = np.arange(256, dtype=np.uint8).reshape(16, 16)
 
@@ -130,3 +131,18 @@ def test_a_profile_does_not_overrule_the_response_found_in_the_images(with_profi
     assert "images are encoded for a display according to their files" in findings
     assert "the measured brightness shows that this is right" in findings
     assert "encoded for a display" not in io.StringIO(outcome.err).read()
+
+
+def test_a_mosaic_in_a_jpeg_file_is_doubted(small_station: Path, tmp_path: Path) -> None:
+    lossy, exact = saved(tmp_path / "m.jpg"), saved(tmp_path / "m.png")
+    assert mosaic_doubts([lossy], False) == mosaic_doubts([exact], True) == []
+    ((_, message, suggestion),) = mosaic_doubts([lossy], True)
+    assert "m.jpg is a JPEG file" in message and "PNG" in suggestion
+    images = sorted((small_station.parent / "pol").iterdir())
+    mosaic = tifffile.imread(images[0]).astype(np.float32)
+    Image.fromarray(np.rint(255 * mosaic / mosaic.max()).astype(np.uint8)).save(small_station.parent / "m.jpg")
+    text = re.sub(r"(?m)^(angles_deg|white_level|black_level) = .*\n", "", small_station.read_text())
+    text = re.sub(r"(?m)^images = .*$", 'images = ["m.jpg"]\nmosaic = [[90, 45], [135, 0]]', text)
+    small_station.write_text(text)
+    outcome = malus_here("check", small_station)
+    assert "m.jpg is a JPEG file, whose compression mixes" in outcome.out, outcome.err

@@ -80,6 +80,13 @@ def test_angles_may_begin_with_a_negative_one(folder: Path) -> None:
     assert polarized(folder / "station.toml")["angles_deg"] == [-45, 0, 45.5]
 
 
+def test_signs_of_angles_in_names_are_read(folder: Path) -> None:
+    for name in ("pol_-45.png", "pol_0.png", "pol_45.png", "pol_90.png"):
+        image(folder / name)
+    malus.import_station(folder, folder / "station.toml")
+    assert polarized(folder / "station.toml")["angles_deg"] == [-45, 0, 45, 90]
+
+
 def test_file_numbers_are_not_taken_for_angles(folder: Path) -> None:
     for number in (123, 124, 125, 9, 10):
         image(folder / f"IMG_{number:04d}.png")
@@ -297,6 +304,12 @@ def test_unit_and_frame_of_a_metashape_project(
         ({"a.png": None}, ["--pattern", "b(\\d)"], "no angle in the name"),
         ({"a.png": None, "b.png": None}, ["--angles", "0"], "1 angles for 2 images (a.png, b.png)"),
         ({"a.png": None}, ["--angles", "0,x"], "--angles 0,x, expected angles in degrees"),
+        (
+            {"IMG_9999.png": None, "IMG_0001.png": None, "IMG_0002.png": None},
+            ["--angles", "0,60,120"],
+            "in which IMG_0001.png comes first; but the camera counted on to it from IMG_9999.png",
+        ),
+        ({"a_0.png": None, "a_0.jpg": None}, ["--angles", "0,45"], "a_0.jpg and a_0.png have the same name"),
         ({"a.png": None}, ["--angles", "0", "--pattern", "(a)"], "--angles and --pattern are both given"),
         ({"a.png": None, "t.csv": "file;angle\na.png;1;2\n"}, [], "t.csv, line 2: 3 columns"),
         (

@@ -18,7 +18,7 @@ import malus
 from conftest import malus_here, malus_station
 from malus import _core, raw
 from malus._files import sha256_of
-from malus.exif import exposure_doubts, mask_notes
+from malus.exif import exposure_doubts, mask_notes, tags_of
 from malus.photogrammetry import front_end
 from malus.photogrammetry.photos import describe_photo
 from malus.report import CHECKS
@@ -276,6 +276,18 @@ def test_settings_that_changed_are_named(station: Path, tmp_path: Path, change: 
         assert f"pol_090.dng: {message}" in outcome.err
 
 
+def test_settings_in_raw_files_that_are_not_tiff_are_compared(tmp_path: Path) -> None:
+    """Olympus writes TIFF with another number in its header; CR3, RAF and RW2 are other formats altogether."""
+    for angle in ANGLES:
+        path = tmp_path / f"pol_{angle:03d}.orf"
+        write_dng(path, scene(angle), exposure=(1, 30 if angle == 90 else 60))
+        path.write_bytes(path.read_bytes().replace(b"II*\0", b"IIRO", 1))
+        assert tags_of(path) == {}
+    (tmp_path / "station.toml").write_text('[polarized]\nimages = "."\n')
+    with pytest.raises(malus.InputError, match=r"pol_090\.orf: exposure time 1/30 s, but pol_000\.orf has 1/60 s"):
+        malus.check(malus.Station.load(tmp_path / "station.toml"))
+
+
 def test_jpeg_settings_are_compared_too(tmp_path: Path) -> None:
     from PIL.TiffImagePlugin import IFDRational
 
@@ -299,9 +311,10 @@ def test_exposure_times_of_files_are_compared_with_the_stated_ones(tmp_path: Pat
         Image.fromarray(np.full(SIZE, 100, np.uint8)).save(images[-1], exif=exif)
     images.insert(0, tmp_path / "silent.jpg")
     Image.fromarray(np.full(SIZE, 100, np.uint8)).save(images[0])
-    assert exposure_doubts(images, [1 / 64, 1 / 64, 1 / 16, 1 / 64, 1 / 16]) == []
-    assert exposure_doubts(images, None) == exposure_doubts([], [1.0]) == []
-    ((check, message, suggestion),) = exposure_doubts(images, [1, 4, 1, 4, 1])
+    tags = [tags_of(path) for path in images]
+    assert exposure_doubts(images, tags, [1 / 64, 1 / 64, 1 / 16, 1 / 64, 1 / 16]) == []
+    assert exposure_doubts(images, tags, None) == exposure_doubts([], [], [1.0]) == []
+    ((check, message, suggestion),) = exposure_doubts(images, tags, [1, 4, 1, 4, 1])
     assert check in CHECKS and "order of the images" in suggestion
     assert (
         message

@@ -171,6 +171,8 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
                   const Context& context) {
   const Image<float> mosaic = std::move(exposures.images[0]);
   const std::string name = exposures.names[0];
+  const std::string doubt = doubt_of_colors(mosaic, spec.mosaic_colors, name);
+  if (!doubt.empty()) context.log(LogLevel::warning, doubt);
   const std::array<double, 3> weights = channel_weights(spec);
   const auto single = static_cast<std::size_t>(std::ranges::find(weights, 1.0) - weights.begin());
   const bool of_one_color = spec.mosaic_colors && single < weights.size();
@@ -207,25 +209,35 @@ void split_mosaic(Exposures& exposures, const PolarizedSpec& spec, Image<float>&
 }
 
 /// Which images cannot be registered, and why. All images are registered together, so one bad image can make all fail.
-/// Therefore names the images that also fail alone against the first one, if there are any.
+/// Therefore names the images that also fail alone against the first one, if there are any; or the first one, if all
+/// others fail against it although two of them fit each other.
 std::string failed_registration(const Exposures& exposures, const std::vector<ImageRegistration>& results,
                                 const RegistrationOptions& options, const Context& context) {
+  const auto alone_against = [&](std::size_t base, std::size_t k) {
+    return register_images({exposures.images[base], exposures.images[k]}, exposures.noise, options, context)[1];
+  };
   struct Failed {
-    std::string names, why;
-    void add(const std::string& name, const std::string& message) {
-      names += (names.empty() ? "" : ", ") + name;
+    std::vector<std::size_t> images;
+    std::string why;
+    void add(std::size_t image, const std::string& message) {
+      images.push_back(image);
       if (why.empty()) why = message;
     }
   } together, alone;
   for (std::size_t k = 1; k < results.size(); ++k) {
     if (results[k].status == RegistrationStatus::ok) continue;
-    together.add(exposures.names[k], results[k].message);
-    const auto pair = register_images({exposures.images[0], exposures.images[k]}, exposures.noise, options, context);
-    if (pair[1].status != RegistrationStatus::ok) alone.add(exposures.names[k], pair[1].message);
+    together.add(k, results[k].message);
+    const ImageRegistration pair = alone_against(0, k);
+    if (pair.status != RegistrationStatus::ok) alone.add(k, pair.message);
   }
-  const Failed& failed = alone.names.empty() ? together : alone;
-  return failed.names + " cannot be registered to " + exposures.names[0] + ": " + failed.why +
-         ". If the camera did not move, set capture.registration = \"off\"";
+  const Failed& failed = alone.images.empty() ? together : alone;
+  const bool first_is_bad = results.size() > 2 && alone.images.size() + 1 == results.size() &&
+                            alone_against(1, 2).status == RegistrationStatus::ok;
+  std::string names;
+  for (const std::size_t k : failed.images) names += (names.empty() ? "" : ", ") + exposures.names[k];
+  return (first_is_bad ? exposures.names[0] + " cannot be registered to the other images"
+                       : names + " cannot be registered to " + exposures.names[0]) +
+         ": " + failed.why + ". If the camera did not move, set capture.registration = \"off\"";
 }
 
 /// Whether nothing is known of an image's place; it may still be where the first image is.

@@ -31,6 +31,9 @@ constexpr double color_smoothing_px = 2;
 constexpr float smallest_ratio = 0.02f;
 /// Smallest divisor of ratios; below this intensity ratios would be noise only.
 constexpr float dark = 1e-3f;
+/// Difference in brightness, as a logarithm, from which cells have other color filters; and the share of it up to which
+/// two cells have the same.
+constexpr double other_colors = 0.1, alike_colors = 0.25;
 
 /// Weights of a Gaussian, cut at three standard deviations.
 cv::Mat gaussian_kernel(double sigma) {
@@ -227,6 +230,30 @@ ColorMosaic demosaic_color(const Image<float>& mosaic, BayerPattern colors, cons
     parallel_pixels(context, size, [&](int u, int v) { expected(u, v) = result.gray.channels[cell_of(u, v)](u, v); });
   }
   return result;
+}
+
+std::string doubt_of_colors(const Image<float>& mosaic, std::optional<BayerPattern> stated, const std::string& name) {
+  // All four polarizers of a cell have the same color, and so do the cells of every second column and row.
+  std::array<double, 4> sums{}, counts{};
+  for_each_pixel(mosaic.size(), [&](int u, int v) {
+    const std::size_t place = cell_of(u / 2, v / 2);
+    sums[place] += mosaic(u, v);
+    counts[place] += 1;
+  });
+  for (std::size_t i = 0; i < 4; ++i) sums[i] /= counts[i];
+  const auto [least, most] = std::ranges::minmax(sums);
+  if (!(least > 0)) return {};
+  const auto differ_by = [&](std::size_t a, std::size_t b) { return std::abs(std::log(sums[a] / sums[b])); };
+  // Two cells in opposite corners are green, and equally bright.
+  const bool falling = differ_by(0, 3) < alike_colors * std::log(most / least),
+             rising = differ_by(1, 2) < alike_colors * std::log(most / least);
+  if (std::log(most / least) < other_colors || !(falling || rising)) return {};
+  const std::string pattern =
+      ": its cells of 2 x 2 pixels differ in brightness as behind the filters of a color camera";
+  if (!stated) return name + pattern + "; is mosaic_colors missing?";
+  if ((falling && rising) || enum_name(*stated)[falling ? 0 : 1] == 'G') return {};
+  return name + pattern + ", but with green where mosaic_colors = \"" + std::string(enum_name(*stated)) +
+         "\" has none; is it " + (falling ? "\"GRBG\" or \"GBRG\"?" : "\"RGGB\" or \"BGGR\"?");
 }
 
 Mask spread_flags(const Mask& flags, int reach) {

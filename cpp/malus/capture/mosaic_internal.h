@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 #include <string>
 
 #include "malus/core/context.h"
@@ -48,6 +49,11 @@ struct ColorMosaic {
 /// divided out, and `demosaic` splits the resulting gray mosaic at full resolution; three rounds.
 ColorMosaic demosaic_color(const Image<float>& mosaic, BayerPattern colors, const std::string& name,
                            const Context& context);
+
+/// Question whether the Bayer pattern, or its lack, is right; empty if there is no doubt. Under a pattern of color
+/// filters the mean brightness of the 2 × 2 cells repeats every second cell, equal in two opposite corners: the green
+/// ones.
+std::string doubt_of_colors(const Image<float>& mosaic, std::optional<BayerPattern> stated, const std::string& name);
 
 /// 255 where a saturated sample lies within `reach` pixels, so that a demosaicked pixel may depend on it.
 Mask spread_flags(const Mask& flags, int reach);

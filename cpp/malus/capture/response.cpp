@@ -1,10 +1,12 @@
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <optional>
 #include <sstream>
 
 #include "malus/capture/response_internal.h"
+#include "malus/core/digits_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/io/input_file_internal.h"
 
@@ -109,6 +111,21 @@ Error not_finite(const std::string& name, int u, int v) {
   return input_error(name + ": pixel (" + std::to_string(u) + ", " + std::to_string(v) + ") is not a finite number");
 }
 
+/// Whether far more samples have the image's largest number than any of the numbers just below it, as where a sensor
+/// clips. Some must lie below it: an even background has its largest number everywhere, too.
+bool is_clipped_at(const RawImage& raw, float largest) {
+  constexpr double just_below = 0.02, peak = 10, float_steps = 65535;
+  const auto least = static_cast<float>((1 - just_below) * largest);
+  std::ptrdiff_t clipped = 0, below = 0;
+  for (const float value : raw.pixels) {
+    clipped += value == largest;
+    below += value >= least && value < largest;
+  }
+  const double steps = just_below * (raw.is_float() ? float_steps : static_cast<double>(largest));
+  return clipped >= fewest_clipped && below >= fewest_clipped &&
+         static_cast<double>(clipped) > peak * std::max(static_cast<double>(below) / std::max(steps, 1.0), 1.0);
+}
+
 }  // namespace
 
 double ResponseCurve::linearize(double value) const {
@@ -197,17 +214,24 @@ void require_numbers_of_table(const RawImage& raw, const Levels& levels, const R
 }
 
 std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name) {
-  if (raw.bits != 16 || levels.white_dn < raw.full_scale_dn()) return {};
   const float largest = *std::ranges::max_element(raw.pixels);
-  for (const int bits : {10, 12, 14}) {
-    const int number = (1 << bits) - 1;
-    if (largest != static_cast<float>(number) || std::ranges::count(raw.pixels, largest) < fewest_clipped) continue;
-    const std::string white = std::to_string(number);
-    return name + ": reaches " + white + ", the largest number of " + std::to_string(bits) +
-           " bits, in a file of 16: what the sensor clipped does not count as saturated; is white_level = " + white +
-           " right?";
+  const double range = levels.white_dn - levels.black_dn, encoded = (largest - levels.black_dn) / range;
+  if (!(encoded > 0) || encoded >= levels.saturation) return {};
+  const std::string same = ": many pixels have the same largest number, ",
+                    clipped = ": what the sensor clipped does not count as saturated; is ";
+  if (raw.is_float()) {
+    if (!is_clipped_at(raw, largest)) return {};
+    return name + same + with_digits(100 * encoded, 3) + " % of white" + clipped +
+           "capture.saturation = " + with_digits(std::floor(1000 * encoded) / 1000, 3) + " right?";
   }
-  return {};
+  const auto number = static_cast<unsigned>(largest);
+  const std::string white = std::to_string(number), question = clipped + "white_level = " + white + " right?";
+  const bool of_fewer_bits = raw.bits == 16 && (number == 1023 || number == 4095 || number == 16383);
+  if (of_fewer_bits && std::ranges::count(raw.pixels, largest) >= fewest_clipped) {
+    return name + ": reaches " + white + ", the largest number of " + std::to_string(std::bit_width(number)) +
+           " bits, in a file of 16" + question;
+  }
+  return is_clipped_at(raw, largest) ? name + same + white + question : "";
 }
 
 std::array<double, 3> channel_weights(const PolarizedSpec& spec) {

@@ -59,9 +59,9 @@ Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseC
 void require_numbers_of_table(const RawImage& raw, const Levels& levels, const ResponseCurve& curve,
                               const std::string& name);
 
-/// Question whether the white level is right; empty if there is no doubt. A file of 16 bits in which 1023, 4095 or
-/// 16383 is the largest number, and frequent, holds those of a sensor of fewer bits: what the sensor clipped would not
-/// count as saturated.
+/// Question whether the white level is right; empty if there is no doubt. What the sensor clipped does not count as
+/// saturated if its largest number lies below the white level: 1023, 4095 or 16383 in a file of 16 bits, of a sensor of
+/// fewer bits, or another one that far more pixels have than the numbers just below it.
 std::string doubt_of_white_level(const RawImage& raw, const Levels& levels, const std::string& name);
 
 /// Weights (R, G, B) that make one channel of three: channel_weights if given (scaled to sum 1), else `channel`:

@@ -49,7 +49,7 @@ RawImage decode(const std::filesystem::path& path, const std::string& what, cons
   } catch (const std::runtime_error& error) {
     throw input_error(name + ": truncated, damaged or unsupported (" + error.what() + ")");
   }
-  throw input_error(name + " is not an image; expected PNG, TIFF or JPEG");
+  throw input_error(name + " is none of the images that can be read, expected PNG, TIFF or JPEG");
 }
 
 /// Calls encode(file, image), which writes the file's bytes.

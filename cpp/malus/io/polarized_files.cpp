@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <optional>
 #include <set>
 #include <span>
@@ -53,32 +54,62 @@ re2::RE2::Options by_bytes(bool any_case) {
 /// word, at the end of the name.
 enum class AnglePlace { behind_word, before_word, last_in_folder };
 
-std::optional<double> angle_at(AnglePlace place, const std::filesystem::path& file) {
-  static const std::string number = R"((\d+(?:\.\d+)?))";
+/// A number in a file's name. A dash before it separates it from a word ("pol-45"), or is its sign ("pol_-45").
+struct NumberInName {
+  double value;
+  std::size_t dashes;  ///< directly before the number
+};
+
+std::optional<NumberInName> number_at(AnglePlace place, const std::filesystem::path& file) {
+  static const std::string number = R"((-*)(\d+(?:\.\d+)?))";
   static const re2::RE2 behind_word(
-      "(?:^|[^a-z])(?:pol|polari[sz]er|polari[sz]ation|angle|ang|deg|rot)[ _.=-]*" + number, by_bytes(true));
+      "(?:^|[^a-z])(?:pol|polari[sz]er|polari[sz]ation|angle|ang|deg|rot)[ _.=-]*?" + number, by_bytes(true));
   static const re2::RE2 before_word(number + "[ _-]*(?:deg|°)", by_bytes(true));
   static const re2::RE2 last_number(number + R"(\D*$)", by_bytes(true));
   static const re2::RE2 folder_word("(?:^|[^a-z])(?:pol|polari[sz]e[rd]|polari[sz]ation|angles?)", by_bytes(true));
-  const std::string name = file.stem().string();
-  std::string digits;
-  if (place == AnglePlace::last_in_folder) {
-    const std::string folder = file.parent_path().filename().string();
-    if (!re2::RE2::PartialMatch(folder, folder_word) || !re2::RE2::PartialMatch(name, last_number, &digits))
-      return std::nullopt;
-    return number_of<double>(digits);
-  }
-  std::optional<double> angle;
-  const re2::RE2& marked = place == AnglePlace::behind_word ? behind_word : before_word;
-  std::array<re2::StringPiece, 2> found;
-  for (std::size_t begin = 0; marked.Match(name, begin, name.size(), re2::RE2::UNANCHORED, found.data(), 2);) {
-    angle = number_of<double>({found[1].data(), found[1].size()});
+  const std::string name = file.stem().string(), folder = file.parent_path().filename().string();
+  if (place == AnglePlace::last_in_folder && !re2::RE2::PartialMatch(folder, folder_word)) return std::nullopt;
+  const re2::RE2& marked = place == AnglePlace::behind_word   ? behind_word
+                           : place == AnglePlace::before_word ? before_word
+                                                              : last_number;
+  std::optional<NumberInName> last;
+  std::array<re2::StringPiece, 3> found;
+  for (std::size_t begin = 0; marked.Match(name, begin, name.size(), re2::RE2::UNANCHORED, found.data(), 3);) {
+    const auto value = number_of<double>({found[2].data(), found[2].size()});
+    last = value ? std::optional(NumberInName{*value, found[1].size()}) : std::nullopt;
     begin = static_cast<std::size_t>(found[0].end() - name.data());
   }
-  return angle;
+  return last;
 }
 
-/// Whether these can be the positions of a polarizer: round angles from 0 to 360°, 0 or 180° among them, three or more
+/// The numbers at this place, one for each file; fewer if names have none there. Dashes that all names have are
+/// separators; one that only some have is the sign of a negative angle.
+std::vector<double> angles_at(AnglePlace place, const std::vector<std::filesystem::path>& files) {
+  std::vector<NumberInName> numbers;
+  for (const auto& file : files) {
+    if (const auto number = number_at(place, file)) numbers.push_back(*number);
+  }
+  if (numbers.empty()) return {};
+  const std::size_t separators = std::ranges::min(numbers, {}, &NumberInName::dashes).dashes;
+  std::vector<double> angles;
+  for (const auto& [value, dashes] : numbers) angles.push_back(dashes > separators ? -value : value);
+  return angles;
+}
+
+/// Throws an input error if two files have the same name but for the suffix, such as a TIFF and its JPEG preview: they
+/// would count as two exposures, and their brightness follows different curves.
+void require_one_file_an_image(const std::vector<std::filesystem::path>& files, const std::string& where) {
+  std::map<std::filesystem::path, std::filesystem::path> of_name;
+  for (const auto& file : files) {
+    const auto [other, added] = of_name.emplace(file.parent_path() / file.stem(), file.filename());
+    if (added) continue;
+    throw input_error(where + ": " + other->second.string() + " and " + file.filename().string() +
+                      " have the same name, expected one file of each image; a pattern such as \"*" +
+                      file.extension().string() + "\" chooses one kind");
+  }
+}
+
+/// Whether these can be the positions of a polarizer: round angles of at most 360°, 0 or 180° among them, three or more
 /// modulo 180°, and either a wide step between neighbors or evenly spread over the half turn. Consecutive file numbers
 /// are no such series.
 bool is_polarizer_series(std::span<const double> angles) {
@@ -87,8 +118,8 @@ bool is_polarizer_series(std::span<const double> angles) {
   };
   std::set<double> places;
   for (const double angle : angles) {
-    if (angle > 360 || !(is_multiple(angle, 5) || is_multiple(angle, 22.5))) return false;
-    places.insert(std::fmod(angle, 180));
+    if (std::abs(angle) > 360 || !(is_multiple(angle, 5) || is_multiple(angle, 22.5))) return false;
+    places.insert(angle - 180 * std::floor(angle / 180));
   }
   if (places.size() < 3 || !places.contains(0)) return false;
   constexpr double wide_step = 15;
@@ -144,6 +175,7 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
   }
   std::sort(files.begin(), files.end(),
             [](const auto& a, const auto& b) { return natural_less(a.string(), b.string()); });
+  require_one_file_an_image(files, where);
   return files;
 }
 
@@ -176,10 +208,7 @@ double angle_of_name(const std::filesystem::path& file, const std::string& patte
 std::vector<double> angles_of_names(const std::vector<std::filesystem::path>& files, const std::string& where,
                                     const std::string& instead) {
   for (const AnglePlace place : {AnglePlace::behind_word, AnglePlace::before_word, AnglePlace::last_in_folder}) {
-    std::vector<double> angles;
-    for (const auto& file : files) {
-      if (const std::optional<double> angle = angle_at(place, file)) angles.push_back(*angle);
-    }
+    const std::vector<double> angles = angles_at(place, files);
     if (angles.size() == files.size() && is_polarizer_series(angles)) return angles;
   }
   std::string list;

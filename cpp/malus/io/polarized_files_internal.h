@@ -22,13 +22,15 @@ std::vector<std::filesystem::path> match_files(const std::filesystem::path& base
                                                const std::string& where);
 
 /// Image files of a folder (only the RAW files if there are both RAW and other files), or the files that a glob (*, ?,
-/// […]) matches, in natural order. `folder_or_glob` starts at `base`; `where` names the field in messages.
+/// […]) matches, in natural order. `folder_or_glob` starts at `base`; `where` names the field in messages. Throws an
+/// input error if two of them have the same name but for the suffix.
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& base, const std::string& folder_or_glob,
                                                const std::string& where);
 
 /// Polarizer angles [deg] from the files' names, one per file. Throws an input error that lists the names unless the
 /// angles are beyond doubt, since a file's number is not an angle. A number is an angle only beside a word (pol, angle,
-/// deg, rot, °) or, if it is the last of the name, in a folder with such a word. All angles together must be a
+/// deg, rot, °) or, if it is the last of the name, in a folder with such a word. A dash before it is its sign if other
+/// names have none. All angles together must be a
 /// polarizer's series: multiples of 5 or 22.5 with 0 (or 180) among them, three or more modulo 180, not counted in
 /// small steps.
 ///

@@ -32,7 +32,8 @@ std::vector<std::filesystem::path> read_image_list(const TomlTable& table) {
   if (const toml::node* node = table.find("images"); node && node->is_string()) {
     const std::string place = *table.text("images");
     images = list_images(table.file().parent_path(), place, table.where("images"));
-    if (images.empty()) throw table.wrong("images", "a folder with images, or a pattern that matches files");
+    if (images.empty())
+      throw table.wrong("images", "a folder with PNG, TIFF, JPEG or RAW files, or a pattern that matches files");
   } else {
     const auto names =
         table.required(table.texts("images"), "images", "a list of files, a folder or a pattern like \"pol/*.png\"");

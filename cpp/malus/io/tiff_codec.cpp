@@ -343,6 +343,19 @@ void encode(AtomicFile& file, const Image<Sample>& image, int format, int compre
   require(error.empty());
 }
 
+/// Throws if the file holds another image of the same size, such as the frames of a series: only the first one would
+/// be used. Previews and masks, which say what they are, do not count.
+void require_one_image(TIFF* tiff, Size size) {
+  constexpr int most_pages = 100;
+  for (int page = 1; page < most_pages && TIFFReadDirectory(tiff) != 0; ++page) {
+    const auto kind = field<std::uint32_t>(tiff, TIFFTAG_SUBFILETYPE, 0);
+    if ((kind & (FILETYPE_REDUCEDIMAGE | FILETYPE_MASK)) != 0) continue;
+    if (field<std::uint32_t>(tiff, TIFFTAG_IMAGEWIDTH, 0) == static_cast<std::uint32_t>(size.width) &&
+        field<std::uint32_t>(tiff, TIFFTAG_IMAGELENGTH, 0) == static_cast<std::uint32_t>(size.height))
+      throw std::runtime_error("holds several images (pages), expected one; save each as a file of its own");
+  }
+}
+
 }  // namespace
 
 RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& check) {
@@ -359,6 +372,7 @@ RawImage decode_tiff(std::string_view bytes, Alpha alpha, const HeaderCheck& che
   RawImage image{Image<float>::uninitialized(layout.size, layout.channels), layout.bits};
   image.no_data = read_no_data(tiff.get());
   read_blocks(tiff.get(), layout, error, image.pixels);
+  require_one_image(tiff.get(), layout.size);
   if (layout.photometric == PHOTOMETRIC_MINISWHITE) {
     const auto white = static_cast<float>(image.full_scale_dn());
     const auto channels = static_cast<std::size_t>(layout.channels), colors = channels - (layout.alpha ? 1 : 0);

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <optional>
@@ -114,6 +115,28 @@ std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
                      std::to_string(stack.images.size()) + " polarized images, whose places could not be found",
                  "if the camera did not move, capture.registration = \"off\" says so",
                  {}};
+}
+
+/// What the order of the images says, in words for a mosaic, whose file and station file have no images.
+Finding order_in_mosaic(const ImageOrder& order) {
+  Finding finding = order.finding;
+  if (finding.severity != Severity::warning) return finding;
+  std::array<long, 4> cell{};
+  for (std::size_t k = 0; k < cell.size(); ++k) {
+    const double degrees = to_degrees(order.angles_rad[k]);
+    cell[k] = std::lround(degrees - 180 * std::floor(degrees / 180));
+  }
+  // Eight orders fit alike, turned by 45° or mirrored; among them that of the common sensors.
+  if (std::abs(cell[0] - cell[3]) == 90) cell = {90, 45, 135, 0};
+  std::ostringstream fits;
+  fits << "is mosaic = [[" << cell[0] << ", " << cell[1] << "], [" << cell[2] << ", " << cell[3]
+       << "]] right, or that of a turned, mirrored or cropped image?";
+  finding.message =
+      "the angles of the mosaic's cell do not seem to be in its order: in another order the squared misfit of the "
+      "sinusoid is " +
+      with_digits(order.misfit_ratio, 2) + " times smaller";
+  finding.suggestion = fits.str();
+  return finding;
 }
 
 /// Finding for many pixels that do not follow the sinusoid. Single ones are only left out; many have a common cause.
@@ -236,7 +259,10 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     if (found) add(*std::move(found));
   };
   // Angles that are estimated from the images follow the images' order, which therefore need not be checked.
-  if (polarized.angles_deg) add(check_image_order(stack.images, stack.angles_rad, stack.mask, context).finding);
+  if (polarized.angles_deg) {
+    const ImageOrder order = check_image_order(stack.images, stack.angles_rad, stack.mask, context);
+    add(polarized.mosaic ? order_in_mosaic(order) : order.finding);
+  }
   const auto check_linear = [&] {
     return check_response(stack.images, stack.angles_rad, stack.mask, polarized.response, context).finding;
   };

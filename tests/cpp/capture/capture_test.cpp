@@ -225,6 +225,9 @@ TEST(Capture, images_that_cannot_be_of_one_series_are_named) {
   for (int v = 0; v < stone_size.height; ++v)
     for (int u = 0; u < stone_size.width; ++u) images[4](u, v) = right[4]((u + 97) % stone_size.width, v);
   expect_refused(images, ErrorCode::data, "image 4.tif cannot be registered to image 0.tif");
+  std::swap(images[0], images[4]);
+  images[4] = right[4];
+  expect_refused(images, ErrorCode::data, "image 0.tif cannot be registered to the other images");
 }
 
 TEST(Capture, a_white_level_that_is_missing_is_asked_for) {

@@ -204,6 +204,30 @@ TEST(Mosaic, texture_without_polarization_is_smoothed_widely) {
   EXPECT_NEAR(smooth.channels[0](41, 31), 0.4 * 0.7, 1e-3);
 }
 
+TEST(Mosaic, a_color_pattern_that_is_missing_or_wrong_is_asked_about) {
+  const Size size{96, 64};
+  const auto warning = [&](const Image<float>& mosaic, std::optional<BayerPattern> stated) {
+    CaptureInput input = input_of({mosaic}, {});
+    input.polarized.mosaic = cell_deg;
+    input.polarized.mosaic_colors = stated;
+    input.polarized.angles_deg = std::vector<double>(cell_deg.begin(), cell_deg.end());
+    std::string said;
+    Context context = two_threads();
+    context.on_log = [&](LogLevel level, const std::string& text) {
+      if (level == LogLevel::warning) said += text;
+    };
+    capture_stack(input, {}, context);
+    return said;
+  };
+  for (const BayerPattern colors : {BayerPattern::rggb, BayerPattern::bggr, BayerPattern::grbg, BayerPattern::gbrg}) {
+    expect_contains(warning(color_mosaic(size, colors), std::nullopt), "is mosaic_colors missing?");
+    EXPECT_EQ(warning(color_mosaic(size, colors), colors), "");
+  }
+  expect_contains(warning(color_mosaic(size, BayerPattern::rggb), BayerPattern::gbrg), "is it \"RGGB\" or \"BGGR\"?");
+  expect_contains(warning(color_mosaic(size, BayerPattern::gbrg), BayerPattern::bggr), "is it \"GRBG\" or \"GBRG\"?");
+  EXPECT_EQ(warning(mosaic_of(size), std::nullopt), "");
+}
+
 TEST(Mosaic, a_color_station_keeps_its_color) {
   CaptureInput input = input_of({color_mosaic({96, 64}, BayerPattern::rggb)}, {});
   input.polarized.mosaic = cell_deg;

@@ -124,6 +124,32 @@ TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
   EXPECT_EQ(doubt({}), "") << "a single pixel";
 }
 
+TEST(Response, a_number_at_which_the_sensor_clips_below_white_is_asked_about) {
+  // A ramp up to twice the number at which everything is clipped.
+  const auto clipped_at = [](float clip, int bits, float last) {
+    RawImage raw{Image<float>({200, 50}), bits};
+    for (std::size_t i = 0; i < raw.pixels.count(); ++i)
+      raw.pixels[i] = std::min(last * static_cast<float>(i) / static_cast<float>(raw.pixels.count()), clip);
+    if (bits <= 16) std::ranges::for_each(raw.pixels, [](float& value) { value = std::round(value); });
+    return raw;
+  };
+  const auto doubt = [](const RawImage& raw, const PolarizedSpec& spec = {}) {
+    return doubt_of_white_level(raw, levels_of(raw, spec, {}, 0.995, "raw.tif"), "raw.tif");
+  };
+  expect_contains(doubt(clipped_at(15892, 16, 30000)), "same largest number, 15892");
+  PolarizedSpec stated;
+  stated.white_level = 16383;
+  expect_contains(doubt(clipped_at(15892, 16, 30000), stated), "white_level = 15892");
+  stated.white_level = 15892;
+  EXPECT_EQ(doubt(clipped_at(15892, 16, 30000), stated), "");
+  expect_contains(doubt(clipped_at(0.972F, 32, 2)), "97.2 % of white");
+  expect_contains(doubt(clipped_at(0.972F, 32, 2)), "capture.saturation = 0.97");
+  EXPECT_EQ(doubt(clipped_at(15892, 16, 15892)), "") << "not clipped";
+  EXPECT_EQ(doubt(clipped_at(235, 8, 235)), "") << "not clipped, and many pixels of every number";
+  EXPECT_EQ(doubt(clipped_at(65535, 16, 70000)), "") << "counts as saturated";
+  EXPECT_EQ(doubt(RawImage{Image<float>({200, 50}, 1, 1200.F), 16}), "") << "an even image";
+}
+
 TEST(Response, every_pixel_value_of_a_file_is_mapped_by_the_curve) {
   for (const std::string response : {"linear", "srgb", "gamma:2.2"}) {
     const ResponseCurve curve = curve_of(response);

@@ -93,6 +93,18 @@ TEST(ImageFile, AlphaIsDropped) {
   }
 }
 
+TEST(ImageFile, ATiffWithSeveralImagesIsRefused) {
+  const TemporaryFolder folder;
+  const std::string path = (folder / "burst.tif").string();
+  const cv::Mat frame(5, 6, CV_16UC1, cv::Scalar(10)), preview(2, 3, CV_16UC1, cv::Scalar(10));
+  cv::imwritemulti(path, std::vector<cv::Mat>{frame, preview});
+  EXPECT_EQ(read_image(path).pixels.size(), (Size{6, 5}));
+  cv::imwritemulti(path, std::vector<cv::Mat>{frame, preview, frame});
+  EXPECT_EQ(read_image_size(path), (Size{6, 5}));
+  expect_error(
+      ErrorCode::input, [&] { read_image(path); }, "burst.tif", "several images");
+}
+
 struct TiffLayout {
   const char* mode;
   int planar, photometric, tile;

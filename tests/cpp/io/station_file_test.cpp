@@ -315,6 +315,9 @@ TEST_F(StationFileTest, ReadsFoldersGlobsAndAnglePatterns) {
   rejects_lines("images = \"pol\"\nangle_pattern = 'a_\\d+'", "angle_pattern", "one group");
   rejects_lines("images = \"pol\"\nangle_pattern = 'a_(\\d+'", "angle_pattern", "not a regular expression");
   rejects_lines("images = \"pol\"\nangle_pattern = 'b_(\\d+)'", "angle_pattern", "no angle in the name");
+  folder_.write("pol/a_045.jpg", "x");
+  rejects_lines("images = \"pol\"", "images", "a_045.jpg and a_045.png have the same name", "one file of each image");
+  EXPECT_EQ(angles("images = \"pol/*.png\""), expected);
 }
 
 TEST(PolarizedFiles, NaturalOrderAndAngleByPattern) {
@@ -342,6 +345,13 @@ TEST(AnglesOfNames, AreReadOnlyFromUnambiguousNames) {
   }
   EXPECT_EQ(angles({"/x/angle22.5.png", "/x/angle0.png", "/x/angle67.5.png"}), (std::vector<double>{22.5, 0, 67.5}));
   EXPECT_EQ(angles({"/x/rot-0.png", "/x/rot-120.png", "/x/rot-240.png"}), (std::vector<double>{0, 120, 240}));
+  // A dash is a separator if all names have it, else a sign.
+  for (const Names& names : {Names{"/x/pol_-45.png", "/x/pol_0.png", "/x/pol_45.png", "/x/pol_90.png"},
+                             Names{"/x/pol--45.png", "/x/pol-0.png", "/x/pol-45.png", "/x/pol-90.png"},
+                             Names{"/x/-45°.png", "/x/0°.png", "/x/45°.png", "/x/90°.png"},
+                             Names{"/x/pol/-45.png", "/x/pol/0.png", "/x/pol/45.png", "/x/pol/90.png"}}) {
+    EXPECT_EQ(angles(names), (std::vector<double>{-45, 0, 45, 90})) << names[0];
+  }
   for (const Names& names :
        {Names{"/x/IMG_0123.JPG", "/x/IMG_0124.JPG", "/x/IMG_0125.JPG"},
         Names{"/x/pol/IMG_0120.JPG", "/x/pol/IMG_0125.JPG", "/x/pol/IMG_0130.JPG"},
