@@ -31,6 +31,11 @@ struct SurfaceEstimate {
   Size size() const { return object.size(); }
   PixelRect everything() const { return {0, 0, size().width, size().height}; }
   bool is_object(int u, int v) const { return object.contains(u, v) && object(u, v) != 0; }
+  /// Whether all four nodes of a pixel are on the object. The last nodes of the object, to the right and below, are no
+  /// pixel's first node.
+  bool has_all_nodes(int u, int v) const {
+    return is_object(u, v) && is_object(u + 1, v) && is_object(u, v + 1) && is_object(u + 1, v + 1);
+  }
   bool has_other_finish(int u, int v) const { return !other_finish.empty() && other_finish(u, v) != 0; }
   RayFrame frame_at(int u, int v) const { return ray_frame(&camera, u, v); }
   double depth_of(double value) const { return std::exp(value / camera.focal() + log_depth_origin); }

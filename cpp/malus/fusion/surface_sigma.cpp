@@ -99,7 +99,7 @@ Image<float> surface_sigma(const RefinementField& field, const Image<std::uint8_
   Image<float> change(field.size(), 1, no_value), slope(field.size(), 1, no_value);
   parallel_pixels(context, field.object, [&](int u, int v) {
     change(u, v) = static_cast<float>(square(field.x(u, v) - field.x_prior(u, v)));
-    slope(u, v) = static_cast<float>(slope_variance(field, u, v));
+    if (field.has_all_nodes(u, v)) slope(u, v) = static_cast<float>(slope_variance(field, u, v));
   });
   // A metal's slopes follow from its brightness, which is less reliable than polarization under a simple light. With a
   // map of the surroundings, the surface keeps most of the prior's errors.

@@ -122,5 +122,17 @@ TEST(SurfaceSigma, GrowsAtTheContourButNotAtTheBorderOfTheImage) {
   }
 }
 
+TEST(SurfaceSigma, IsAsLargeAtTheBordersOfTheImageAsBesideThem) {
+  // So steep that the polarization determines the slopes everywhere.
+  const Shape plane = [](double x, double y) { return x + y; };
+  const Image<float> sigma = sigma_of(plane, {}, all);
+  constexpr int beside = 12;  // beyond the reach of a pixel's slopes
+  const int right = sigma_size.width - 1, bottom = sigma_size.height - 1;
+  EXPECT_NEAR(sigma(0, 64) / sigma(beside, 64), 1, 0.1);
+  EXPECT_NEAR(sigma(right, 64) / sigma(right - beside, 64), 1, 0.1);
+  EXPECT_NEAR(sigma(80, 0) / sigma(80, beside), 1, 0.1);
+  EXPECT_NEAR(sigma(80, bottom) / sigma(80, bottom - beside), 1, 0.1);
+}
+
 }  // namespace
 }  // namespace malus
