@@ -866,6 +866,26 @@ def test_no_earlier_surface_stays_where_a_run_is_interrupted(
     assert (pair.parent / "out/object/mesh.ply").exists() == (change == "nothing")
 
 
+@pytest.mark.parametrize("removing", ["shutil.rmtree", "Path.unlink"])
+def test_an_interrupted_removal_leaves_no_part_of_a_surface(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, removing: str
+) -> None:
+    """The page and the maps of agreement stayed, which looked finished, when the mesh was gone."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    for name in ("quality.json", "mesh.ply", "albedo.glb", "levels/0.glb", "agreement/o0.png", "report/index.html"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("earlier")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(f"malus.object.run.{removing}", interrupted)
+        object_run._clear(tmp_path)
+    assert all(path.name.startswith(".mesh-") for path in tmp_path.iterdir())
+    object_run._clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_interrupted_search_for_cameras_leaves_no_surface_of_other_photos(
     with_surface: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -181,11 +183,19 @@ def _is_made(folder: Path, key: str) -> bool:
 
 
 def _clear(folder: Path) -> None:
-    """Remove an earlier surface, which may have had other stations, and what an interrupted run left."""
-    for name in ("quality.json", "mesh.ply", "mesh.glb", "albedo.glb"):
-        (folder / name).unlink(missing_ok=True)
-    for left in (*(folder / name for name in ("levels", "agreement", "reference", "report")), *folder.glob(".mesh-*")):
-        shutil.rmtree(left, ignore_errors=True)
+    """Remove an earlier surface, which may have had other stations, and what an interrupted run left.
+
+    All of it first gets hidden names, the page before the rest: removing takes longer, and a part that an interruption left would look
+    like the whole.
+    """
+    for name in ("report", "quality.json", "mesh.ply", "mesh.glb", "albedo.glb", "levels", "agreement", "reference"):
+        with suppress(FileNotFoundError):
+            (folder / name).rename(folder / f".mesh-{secrets.token_hex(8)}")
+    for left in folder.glob(".mesh-*"):
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
 
 
 def _discard(folder: Path, unless: Callable[[], bool] = lambda: False) -> None:
