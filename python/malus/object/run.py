@@ -69,7 +69,7 @@ def run_object(
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
     earlier surface is removed before any work that would make another one: before the search for the cameras if it is not of the same
-    photos, masks, distances and points, and before the stations are run if it is not of their present results and the object file. It
+    object file, photos and stations, and before the stations are run if it is not of their present results and the object file. It
     is also removed if the photos give no cameras (DataError), if no station is done, or if making the new surface fails. If another
     error ends the search for the cameras, it stays. The warnings before an error are its notes.
     """
@@ -79,8 +79,8 @@ def run_object(
     frame, photos = None, None
     try:
         if thing.shared is not None:
-            photos = key_of_photos(thing.shared)
-            # An earlier surface would look like one of the photos as they are now, also if the search is interrupted.
+            photos = _key_of_files(thing, output)
+            # An earlier surface would look like one of the files as they are now, also if the search is interrupted.
             _discard(folder, unless=lambda: _recorded(folder).get("photos_key") == photos)
             frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
     except MalusError as error:
@@ -161,14 +161,26 @@ def _recorded(folder: Path) -> dict[str, Any]:
 
 def _key(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None) -> str:
     """Hash of what the surface is made from, and of what its page says about stations that are not in it and about the photos."""
+    stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
+    photos = None if frame is None else [frame.figures, frame.warnings]
+    return hashlib.sha256(json.dumps([_core.version, _wanted(thing), stations, photos]).encode()).hexdigest()
+
+
+def _key_of_files(thing: Object, output: str | Path) -> str:
+    """Hash of what is known of a surface before the search for cameras: object file, photos, and the stations' files by size and time."""
+    assert thing.shared is not None
+    stations = [task.key() for task in thing.campaign.tasks(output, 1)]
+    said = [_wanted(thing), thing.turntable, key_of_photos(thing.shared), stations]
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+
+
+def _wanted(thing: Object) -> list[Any]:
+    """What the object file says of the surface."""
     scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
-    wanted = [
+    return [
         thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.texture_format,
         thing.campaign.report, scan,
     ]  # fmt: skip
-    stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
-    photos = None if frame is None else [frame.figures, frame.warnings]
-    return hashlib.sha256(json.dumps([_core.version, wanted, stations, photos]).encode()).hexdigest()
 
 
 def _is_made(folder: Path, key: str) -> bool:
