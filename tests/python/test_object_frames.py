@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from conftest import edit, malus_here
 from malus import Camera, _core
-from malus.object import Object
+from malus.object import Object, one_frame
 from malus.object.one_frame import doubts_of_frames
 from malus.object.ply import columns, write_ply
 
@@ -207,6 +207,14 @@ def test_stations_all_around_and_near_ones_have_something_in_common(tmp_path: Pa
     }
     doubts = doubts_of_frames(seen(tmp_path, cameras, kind), tmp_path)
     assert doubts == {"front": [], "back": [], "detail": []}
+
+
+def test_a_large_depth_map_is_looked_up_at_some_of_its_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(one_frame, "_MOST_POINTS", 1000)
+    one = camera((1, 2, 3))
+    points = one_frame._of_depth(tifffile.imread(depth_map(tmp_path / "depth.tif", one)), one.description())
+    assert 300 < len(points) < 1000
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), RADIUS, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["cloud", "depth"])
