@@ -153,7 +153,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill, beside `folder`; at the end it is renamed to `folder`.
 
-    InputError if `folder` exists already. With `replace` the existing folder is removed at the end instead.
+    InputError if `folder` exists already, or has got content when the new one is complete. With `replace` the existing folder is removed
+    at the end instead.
     """
     if folder.exists() and not replace:
         raise InputError(f"{folder}: is there already, expected a new folder")
@@ -162,7 +163,7 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
         new = scratch / "new"
         new.mkdir()
         yield new
-        if folder.exists():
+        if replace and folder.exists():
             shutil.rmtree(folder)
         new.rename(folder)
 

@@ -343,6 +343,15 @@ def test_the_working_folder_and_a_linked_one_can_be_replaced(tmp_path: Path, mon
     assert (tmp_path / "linked").is_symlink() and len(list(tmp_path.iterdir())) == 2
 
 
+def test_what_appears_in_place_of_a_new_folder_is_not_removed(tmp_path: Path) -> None:
+    """An export takes minutes, in which others may use its folder."""
+    with pytest.raises(InputError, match="out: cannot be written"), new_folder(tmp_path / "out") as new:
+        (new / "result").write_text("result")
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out/notes").write_text("mine")
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == ["out", "out/notes"]
+
+
 def test_thousands_of_images_are_answered_soon(small_station: Path, tmp_path: Path) -> None:
     text = small_station.read_text()
     begin, end = text.index("images = ["), text.index("frames_averaged")

@@ -69,7 +69,7 @@ from malus.object.cloud_file import read_cloud
 from malus.object.clouds import clouds_of
 from malus.object.doubts import doubts_of_stations, warnings_of
 from malus.object.figures import is_closed, mesh_figures, station_figures
-from malus.object.frame import Frame, find_frame, key_of_photos
+from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
 from malus.object.mesh_file import Coverage
 from malus.object.meshing import ObjectMesh, closed_up, face_normals
@@ -866,6 +866,26 @@ def test_no_earlier_surface_stays_where_a_run_is_interrupted(
     assert (pair.parent / "out/object/mesh.ply").exists() == (change == "nothing")
 
 
+@pytest.mark.parametrize("removing", ["shutil.rmtree", "Path.unlink"])
+def test_an_interrupted_removal_leaves_no_part_of_a_surface(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, removing: str
+) -> None:
+    """The page and the maps of agreement stayed, which looked finished, when the mesh was gone."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    for name in ("quality.json", "mesh.ply", "albedo.glb", "levels/0.glb", "agreement/o0.png", "report/index.html"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("earlier")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(f"malus.object.run.{removing}", interrupted)
+        object_run._clear(tmp_path)
+    assert all(path.name.startswith(".mesh-") for path in tmp_path.iterdir())
+    object_run._clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_interrupted_search_for_cameras_leaves_no_surface_of_other_photos(
     with_surface: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1190,18 +1210,17 @@ def with_surface(photographed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The photographed pair with a surface of its photos from an earlier run; no COLMAP is needed."""
     monkeypatch.setattr(Object, "require_ready", lambda _: None)
     monkeypatch.setattr(front_end, "Colmap", lambda *_: SimpleNamespace(title="", threads=1, peak_mb=0.0))
-    shared = Object.load(photographed).shared
-    assert shared is not None
     folder = photographed.parent / "out/object"
     folder.mkdir(parents=True)
-    write_record(folder / "quality.json", {"photos_key": key_of_photos(shared)})
+    key = object_run._key_of_files(Object.load(photographed), photographed.parent / "out")
+    write_record(folder / "quality.json", {"photos_key": key})
     (folder / "mesh.ply").write_text("earlier")
     return photographed
 
 
 @pytest.mark.parametrize("error", [DataError, InputError, ResourceError, ExternalError])
-@pytest.mark.parametrize("change", ["nothing", "photo", "distance"])
-def test_an_earlier_surface_stays_only_if_it_may_be_of_these_photos(
+@pytest.mark.parametrize("change", ["nothing", "photo", "distance", "option", "station", "closed"])
+def test_an_earlier_surface_stays_only_if_it_may_be_of_these_files(
     with_surface: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception], change: str
 ) -> None:
     """It looked like the result of the run that failed. A COLMAP that is not there or a full disk say nothing about it."""
@@ -1215,6 +1234,12 @@ def test_an_earlier_surface_stays_only_if_it_may_be_of_these_photos(
     if change == "distance":
         ends = [f'[{{ image = "0.png", x = {x}, y = 4 }}, {{ image = "1.png", x = {x}, y = 4 }}]' for x in (3, 9)]
         in_stations(with_surface, f"\n[[scale]]\ndistance = 5\na = {ends[0]}\nb = {ends[1]}\n")
+    if change == "option":
+        edit(with_surface, "smoothing_px = 4", "smoothing_px = 5")
+    if change == "station":
+        edit(with_surface.parent / "o1/station.toml", "frames_averaged = 16", "frames_averaged = 17")
+    if change == "closed":
+        edit(with_surface, "closed = false", "closed = true")
     with pytest.raises(error, match="no cameras"):
         run_object(Object.load(with_surface), with_surface.parent / "out")
     stays = change == "nothing" and error is not DataError

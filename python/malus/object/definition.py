@@ -15,6 +15,7 @@ from malus._toml import read_toml
 from malus.campaign import Campaign, options_of, read_tables, require_kind, stations_of, value_of
 from malus.errors import InputError, MalusError, error_of
 from malus.object.cloud_file import read_cloud, without_normals
+from malus.object.one_frame import doubts_of_frames
 from malus.object.reference import Reference
 from malus.object.texture import require_packages
 from malus.options import Options
@@ -190,12 +191,14 @@ class Object:
         plans: list[dict[str, Any]] = []
         failed: dict[str, MalusError] = {}
         clouds: set[str] = set()
+        described: dict[str, Mapping[str, Any]] = {}
         for task in self.campaign.tasks(Path(), threads):
             try:
                 station = task.load()
                 plan = check(station, settings, cameras_known=self.shared is not None, threads=threads)
                 plans.append({"station": task.identifier, **plan})
-                cloud = station.describe().get("prior_cloud")
+                described[task.identifier] = station.describe()
+                cloud = described[task.identifier].get("prior_cloud")
                 if cloud is not None and cloud not in clouds:
                     clouds.add(cloud)
                     if read_cloud(Path(cloud), self.unit) is None:
@@ -204,7 +207,11 @@ class Object:
                 failed[task.identifier] = error
         if failed:
             raise _together(failed, len(self.campaign.stations))
-        if self.shared is not None:
+        if self.shared is None:
+            doubts = doubts_of_frames(described, self.folder)
+            for plan in plans:
+                plan["warnings"] += doubts[plan["station"]]
+        else:
             description = {**self.campaign.station(self.campaign.stations[0]).describe(), **self.shared}
             photos = photogrammetry.plan(
                 description, 1e-6 * plans[0]["width"] * plans[0]["height"], options=settings, threads=threads,

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -67,7 +69,7 @@ def run_object(
 
     Raises DataError if there is no station, the first station's error if none is done, and the errors of malus.reconstruct. An
     earlier surface is removed before any work that would make another one: before the search for the cameras if it is not of the same
-    photos, masks, distances and points, and before the stations are run if it is not of their present results and the object file. It
+    object file, photos and stations, and before the stations are run if it is not of their present results and the object file. It
     is also removed if the photos give no cameras (DataError), if no station is done, or if making the new surface fails. If another
     error ends the search for the cameras, it stays. The warnings before an error are its notes.
     """
@@ -77,8 +79,8 @@ def run_object(
     frame, photos = None, None
     try:
         if thing.shared is not None:
-            photos = key_of_photos(thing.shared)
-            # An earlier surface would look like one of the photos as they are now, also if the search is interrupted.
+            photos = _key_of_files(thing, output)
+            # An earlier surface would look like one of the files as they are now, also if the search is interrupted.
             _discard(folder, unless=lambda: _recorded(folder).get("photos_key") == photos)
             frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
     except MalusError as error:
@@ -159,14 +161,26 @@ def _recorded(folder: Path) -> dict[str, Any]:
 
 def _key(thing: Object, outcomes: Sequence[Outcome], frame: Frame | None) -> str:
     """Hash of what the surface is made from, and of what its page says about stations that are not in it and about the photos."""
+    stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
+    photos = None if frame is None else [frame.figures, frame.warnings]
+    return hashlib.sha256(json.dumps([_core.version, _wanted(thing), stations, photos]).encode()).hexdigest()
+
+
+def _key_of_files(thing: Object, output: str | Path) -> str:
+    """Hash of what is known of a surface before the search for cameras: object file, photos, and the stations' files by size and time."""
+    assert thing.shared is not None
+    stations = [task.key() for task in thing.campaign.tasks(output, 1)]
+    said = [_wanted(thing), thing.turntable, key_of_photos(thing.shared), stations]
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+
+
+def _wanted(thing: Object) -> list[Any]:
+    """What the object file says of the surface."""
     scan = None if thing.reference is None else [str(thing.reference), sha256_of(thing.reference), thing.register]
-    wanted = [
+    return [
         thing.name, thing.unit, thing.closed, thing.max_sigma_gsd, thing.faces, thing.texture_format,
         thing.campaign.report, scan,
     ]  # fmt: skip
-    stations = [[outcome["station"], outcome["reason"] or outcome["manifest"]] for outcome in outcomes]
-    photos = None if frame is None else [frame.figures, frame.warnings]
-    return hashlib.sha256(json.dumps([_core.version, wanted, stations, photos]).encode()).hexdigest()
 
 
 def _is_made(folder: Path, key: str) -> bool:
@@ -181,11 +195,19 @@ def _is_made(folder: Path, key: str) -> bool:
 
 
 def _clear(folder: Path) -> None:
-    """Remove an earlier surface, which may have had other stations, and what an interrupted run left."""
-    for name in ("quality.json", "mesh.ply", "mesh.glb", "albedo.glb"):
-        (folder / name).unlink(missing_ok=True)
-    for left in (*(folder / name for name in ("levels", "agreement", "reference", "report")), *folder.glob(".mesh-*")):
-        shutil.rmtree(left, ignore_errors=True)
+    """Remove an earlier surface, which may have had other stations, and what an interrupted run left.
+
+    All of it first gets hidden names, the page before the rest: removing takes longer, and a part that an interruption left would look
+    like the whole.
+    """
+    for name in ("report", "quality.json", "mesh.ply", "mesh.glb", "albedo.glb", "levels", "agreement", "reference"):
+        with suppress(FileNotFoundError):
+            (folder / name).rename(folder / f".mesh-{secrets.token_hex(8)}")
+    for left in folder.glob(".mesh-*"):
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
 
 
 def _discard(folder: Path, unless: Callable[[], bool] = lambda: False) -> None:
