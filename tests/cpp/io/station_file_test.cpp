@@ -251,8 +251,8 @@ TEST_F(StationFileTest, MissingFilesAreNamed) {
   rejects_change("pol/a_045.png", "pol/a_000.png", "a_000.png", "listed twice");
   rejects_change("cloud.ply", "absent.ply", "[prior].cloud", "absent.ply", "no such file");
   rejects_change("cloud.ply", "views", "[prior].cloud", "is a folder");
-  folder_.write("pol/a_000.png", "not an image");
-  rejects({}, "a_000.png", "not an image");
+  folder_.write("pol/a_000.png", "none of the images that can be read");
+  rejects({}, "a_000.png", "none of the images that can be read");
   expect_error(
       ErrorCode::input, [&] { read_station_file(folder_ / "none.toml"); }, "none.toml", "no such file");
   expect_error(
