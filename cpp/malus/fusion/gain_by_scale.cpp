@@ -15,6 +15,18 @@ double smoothing_of_cells(int cell_px) {
   return cell_px / std::sqrt(12.0);
 }
 
+/// Weight of the pixels of a cell that makes their products those of degrees of polarization. A highlight is a hundred
+/// times as bright as its neighbors, and its products would count ten thousand times as much.
+double unit_of_degrees(const RefinementField& part, const PixelRect& cell) {
+  double s0 = 0;
+  int count = 0;
+  for_each_pixel(cell, part.usable, [&](int u, int v) {
+    s0 += part.s0(u, v);
+    ++count;
+  });
+  return s0 > 0 ? square(count / s0) : 0;
+}
+
 /// Factor that scales s0 of a metal, which its surface must explain, too, to the unit of (s1, s2); 0 for a dielectric.
 double weight_of_s0(const RefinementField& part, int u, int v) {
   const double error = part.reflection.metal_error * part.s0(u, v), precision = part.stokes_precision(u, v);
@@ -31,7 +43,9 @@ Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
 GainByScale::GainByScale(Size image, bool of_metal)
     : of_metal_(of_metal), cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
 
-void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest) {
+void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest,
+                                double noise) {
+  nn[cell] += static_cast<float>(weight * noise);
   dd[cell] += static_cast<float>(weight * change.dot(change));
   dr[cell] += static_cast<float>(weight * change.dot(rest));
   rr[cell] += static_cast<float>(weight * rest.dot(rest));
@@ -39,15 +53,16 @@ void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& c
 
 void GainByScale::add(const RefinementField& part, RowRange rows, int first_row, const Context& context) {
   struct Pixel {
-    double weight;
+    double weight, noise;
     Stokes change, rest;
   };
   const auto add_cell = [&](int column, int row, const PixelRect& of_cell) {
     std::vector<Pixel> pixels;
     pixels.reserve(static_cast<std::size_t>(finest_px * finest_px));
     Cell cell;
+    const double unit = unit_of_degrees(part, of_cell);
     for_each_pixel(of_cell, part.usable, [&](int u, int v) {
-      const double weight = stokes_weight(part, u, v);
+      const double weight = unit * stokes_weight(part, u, v), noise = 2 * part.variance(u, v);
       const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
       const PixelReflection reflection = part.reflection_at(u, v);
       const PredictedStokes result = reflection.predict(slopes.p, slopes.q);
@@ -56,8 +71,9 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
       const Stokes change{result.s1 - prior.s1, result.s2 - prior.s2, of_s0 * (result.mirrored - prior.mirrored)};
       const Stokes rest{part.s1(u, v) - result.s1, part.s2(u, v) - result.s2,
                         of_s0 * (part.s0(u, v) - result.mirrored)};
-      pixels.push_back({weight, change, rest});
+      pixels.push_back({weight, noise, change, rest});
       cell.weight += weight;
+      cell.noise += square(weight) * noise;
       cell.change += change * weight;
       cell.rest += rest * weight;
     });
@@ -65,7 +81,8 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     const Stokes mean_change = cell.change / cell.weight, mean_rest = cell.rest / cell.weight;
     const std::size_t index = cells_.size().index(column, row);
     for (const Pixel& pixel : pixels)
-      within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest);
+      within_.add(index, pixel.weight, pixel.change - mean_change, pixel.rest - mean_rest,
+                  pixel.noise * (1 - pixel.weight / cell.weight));
     cells_[index] += cell;
   };
   for_each_cell(finest_px, part.size().width, rows, first_row, context, add_cell);
@@ -74,7 +91,7 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
 GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cell_px, double of_rest,
                                                const Context& context) {
   const Image<float> dds = summed_nearby(products.dd, context), drs = summed_nearby(products.dr, context),
-                     rrs = summed_nearby(products.rr, context);
+                     rrs = summed_nearby(products.rr, context), nns = summed_nearby(products.nn, context);
   Gains::Scale scale{cell_px, Image<float>(dds.size())};
   for (std::size_t i = 0; i < dds.count(); ++i) {
     const double dd = dds[i], dr = drs[i], rr = rrs[i];
@@ -82,7 +99,8 @@ GainByScale::Gains::Scale GainByScale::gain_of(const Products& products, int cel
       scale.gain[i] = 1;  // no movement
     } else if (dd + dr > 0) {
       const double h = dd / (dd + dr);
-      const double across = std::max(rr - square(dr) / dd, 0.0) / (dd / square(h));
+      // A surface that follows the noise exactly leaves none of it.
+      const double across = std::max(rr - square(dr) / dd, static_cast<double>(nns[i])) / (dd / square(h));
       scale.gain[i] = static_cast<float>(std::clamp((1 - of_rest * across) / h, 0.0, 1.0));
     }
   }
@@ -132,7 +150,9 @@ GainByScale::Gains GainByScale::gains(const Context& context) const {
         change -= parent.change / parent.weight;
         rest -= parent.rest / parent.weight;
       }
-      products.add(parents.size().index(column, row), cell.weight, change, rest);
+      const double own = is_last ? 1 : 1 - cell.weight / parent.weight;
+      products.add(parents.size().index(column, row), cell.weight, change, rest,
+                   own * cell.noise / square(cell.weight));
     });
     take(products, is_last ? cell_px : 2 * cell_px, half);
     cells = parents;

@@ -16,9 +16,10 @@ namespace malus {
 /// surface took up. With d the change of the predicted (s1, s2) from the prior to the result and r the residual at the
 /// result, summed over the cells of a region,
 ///   h = d·d / (d·d + d·r): the share of the movement along d supported by the data that the surface has made;
-///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): squared residual across d, relative to the square of the whole movement
-///   supported by the data;
-///   gain = (1 − c e²) / h, from 0 to 1, as in Wiener's filter.
+///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): squared residual across d, at least that of the camera's noise, relative
+///   to the square of the whole movement supported by the data; gain = (1 − c e²) / h, from 0 to 1, as in Wiener's
+///   filter.
+/// The products are those of degrees of polarization: each cell's are divided by its squared s0.
 /// Scales are dyadic: pixels minus their mean over 4 × 4 px, these means minus those over 8 × 8 px, … and the means
 /// over the largest cells. c is half: errors act on both slopes, and half of their squared sum has a curl, which no
 /// surface can take up, so that it stays in the residual. c is a quarter at the finest scale, where a surface given at
@@ -50,9 +51,11 @@ class GainByScale {
   /// Weighted sums over the pixels of a cell.
   struct Cell {
     double weight = 0;
+    double noise = 0;                                       ///< of the sums: variance of s1 and s2 together
     Stokes change = Stokes::Zero(), rest = Stokes::Zero();  ///< sums of d and r
     Cell& operator+=(const Cell& other) {
       weight += other.weight;
+      noise += other.noise;
       change += other.change;
       rest += other.rest;
       return *this;
@@ -61,8 +64,9 @@ class GainByScale {
   /// Sums over a region.
   struct Products {
     Image<float> dd, dr, rr;
-    explicit Products(Size cells) : dd(cells), dr(cells), rr(cells) {}
-    void add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest);
+    Image<float> nn;  ///< expected of rr, if it is the camera's noise alone
+    explicit Products(Size cells) : dd(cells), dr(cells), rr(cells), nn(cells) {}
+    void add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest, double noise);
   };
   static Gains::Scale gain_of(const Products& products, int cell_px, double of_rest, const Context& context);
   static Image<Cell> parents_of(const Image<Cell>& cells);

@@ -25,9 +25,11 @@ SyntheticOptions matte_scene() {
 }
 
 /// Gains of a surface that is `overshoot` times `movement` away from the prior. The measurement is the prediction at
-/// `movement` plus noise of standard deviation `noise`. s0 is set only for a metal.
-GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, double noise, double overshoot = 1,
-                            const ReflectionModel& model = matte_scene().model, double texture = 0) {
+/// `movement` plus noise of standard deviation `noise`. s0 is set only for a metal. `change` may change the field last.
+GainByScale::Gains gains_of(
+    const std::function<double(int, int)>& movement, double noise, double overshoot = 1,
+    const ReflectionModel& model = matte_scene().model, double texture = 0,
+    const std::function<void(RefinementField&)>& change = [](RefinementField&) {}) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   image.kind.fill(Reflection::diffuse);
@@ -53,6 +55,7 @@ GainByScale::Gains gains_of(const std::function<double(int, int)>& movement, dou
     }
   }
   move(overshoot);
+  change(field);
   GainByScale gain(image.size(), model.metal_error > 0);
   gain.add(field, {0, 50}, 0, Context{});  // two parts that share a row of cells
   gain.add(field, {50, 161}, 0, Context{});
@@ -80,6 +83,36 @@ TEST(GainByScale, PixelNoiseRemovesTheGainOfDetailButNotOfWaves) {
   EXPECT_LT(at_center(gains.scales.front()), 0.2) << "the detail is weaker than the noise";
   EXPECT_GT(at_center(gains.scales[4]), 0.9) << "means of 32 px minus means of 64 px";
   EXPECT_LT(at_center(gains.all), at_center(gains.scales[4]));
+}
+
+TEST(GainByScale, NoiseThatTheSurfaceFollowsExactlyIsNoGain) {
+  const auto gain_of_detail = [](float noise) {
+    const auto change = [noise](RefinementField& field) { field.variance.fill(noise * noise); };
+    return at_center(gains_of(relief, 0, 1, matte_scene().model, 0, change).scales.front());
+  };
+  EXPECT_GT(gain_of_detail(1e-4F), 0.99);
+  EXPECT_LT(gain_of_detail(0.02F), 0.2) << "the camera's noise is stronger than the detail, whatever residual is left";
+}
+
+TEST(GainByScale, AHighlightDoesNotHideTheNoiseAroundIt) {
+  const auto highlight = [](RefinementField& field) {
+    const PixelRect bright{92, 76, 100, 84};
+    for_each_pixel(bright, [&](int u, int v) {
+      field.s0(u, v) *= 100;
+      field.x(u, v) += relief(u, v);
+    });
+    for_each_pixel(bright, [&](int u, int v) {
+      const Slopes slopes = central_slopes(field, u, v);
+      const PredictedStokes light = field.reflection_at(u, v).predict(slopes.p, slopes.q);
+      field.s1(u, v) = static_cast<float>(light.s1);
+      field.s2(u, v) = static_cast<float>(light.s2);
+    });
+  };
+  const auto beside = [&](const std::function<void(RefinementField&)>& change) {
+    const GainByScale::Gains gains = gains_of(relief, 0.02, 1, matte_scene().model, 0, change);
+    return between_cells(gains.scales.front().gain, gains.scales.front().cell_px, 110, 80);
+  };
+  EXPECT_NEAR(beside(highlight), beside([](RefinementField&) {}), 0.1);
 }
 
 TEST(GainByScale, AnOvershootIsScaledBack) {

@@ -542,7 +542,8 @@ TEST(ImageFile, RejectsWhatIsNotAnImage) {
   expect_error(
       ErrorCode::input, [&] { read_image(folder.write("empty.png", "")); }, "is empty");
   expect_error(
-      ErrorCode::input, [&] { read_image(folder.write("text.png", "hello there")); }, "none of the images that can be read");
+      ErrorCode::input, [&] { read_image(folder.write("text.png", "hello there")); },
+      "none of the images that can be read");
   expect_error(
       ErrorCode::input, [&] { read_image(folder.path()); }, "is a folder");
 }
