@@ -77,7 +77,7 @@ Image<float> trust_in_metal(const Refinement& refinement, const Image<float>& af
 /// Reduces the movement from the prior to the part that is gain. Returns the gain of all scales together.
 GainByScale::Gains::Scale reduce_to_gain(Refinement& refinement, const Image<double>& x_prior) {
   RefinementImage& image = refinement.image;
-  GainByScale gain(image.size(), image.reflection.metal_error > 0);
+  GainByScale gain(image.size(), image.reflection.metal_error > 0, image.noise_share);
   refinement.add_strips(false, gain);
   GainByScale::Gains gains = gain.gains(refinement.context);
   const Image<float> movement = movement_that_is_gain(image, x_prior, gains, refinement.context);

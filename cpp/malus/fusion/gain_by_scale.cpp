@@ -40,8 +40,8 @@ Image<float> summed_nearby(const Image<float>& sums, const Context& context) {
 
 }  // namespace
 
-GainByScale::GainByScale(Size image, bool of_metal)
-    : of_metal_(of_metal), cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
+GainByScale::GainByScale(Size image, bool of_metal, double noise_share)
+    : of_metal_(of_metal), noise_share_(noise_share), cells_(cells_over(image, finest_px)), within_(cells_.size()) {}
 
 void GainByScale::Products::add(std::size_t cell, double weight, const Stokes& change, const Stokes& rest,
                                 double noise) {
@@ -62,7 +62,7 @@ void GainByScale::add(const RefinementField& part, RowRange rows, int first_row,
     Cell cell;
     const double unit = unit_of_degrees(part, of_cell);
     for_each_pixel(of_cell, part.usable, [&](int u, int v) {
-      const double weight = unit * stokes_weight(part, u, v), noise = 2 * part.variance(u, v);
+      const double weight = unit * stokes_weight(part, u, v), noise = 2 * noise_share_ * part.variance(u, v);
       const Slopes slopes = central_slopes(part, u, v), before = central_slopes(part, part.x_prior, u, v);
       const PixelReflection reflection = part.reflection_at(u, v);
       const PredictedStokes result = reflection.predict(slopes.p, slopes.q);

@@ -28,7 +28,8 @@ namespace malus {
 /// surface takes it up pixel by pixel: so c is half at the finest scale, too.
 class GainByScale {
  public:
-  GainByScale(Size image, bool of_metal);
+  /// noise_share: as RefinementImage's.
+  GainByScale(Size image, bool of_metal, double noise_share = 1);
 
   /// Adds some rows of a part. The part has the refined surface and the weights at it.
   void add(const RefinementField& part, RowRange rows, int first_row, const Context& context);
@@ -74,6 +75,7 @@ class GainByScale {
   static constexpr int finest_px = 4, coarsest_px = 64;
 
   bool of_metal_;
+  double noise_share_;
   Image<Cell> cells_;
   Products within_;  ///< of pixels against the means of their cells
 };

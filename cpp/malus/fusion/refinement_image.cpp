@@ -2,6 +2,7 @@
 
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/square_internal.h"
 #include "malus/fusion/refinement_image_internal.h"
 
 namespace malus {
@@ -115,6 +116,21 @@ Image<double> RefinementImage::prior_surface(const Context& context) const {
   return x_prior;
 }
 
+namespace {
+
+/// RefinementImage::noise_share. Pixels that do not follow the sinusoid are not valid.
+double measured_noise(const PolarizationState& state) {
+  double sum = 0, count = 0;
+  for (std::size_t i = 0; i < state.residual.count(); ++i) {
+    if (!has_state(state.valid[i], PixelState::valid) || !std::isfinite(state.residual[i])) continue;
+    sum += square(static_cast<double>(state.residual[i]));
+    ++count;
+  }
+  return count > 0 ? std::min(sum / count, 1.0) : 0;
+}
+
+}  // namespace
+
 RefinementImage make_image(const PolarizationState& state, const DepthPrior& prior, const Context& context) {
   const Size size = state.size();
   require_size(prior.depth, size, "the prior's depth");
@@ -130,6 +146,7 @@ RefinementImage make_image(const PolarizationState& state, const DepthPrior& pri
     const Eigen::Vector3d stokes = state.stokes(u, v);
     image.usable(u, v) = state.is_valid(u, v) && stokes[0] > 0 && stokes.allFinite() ? 255 : 0;
   });
+  image.noise_share = measured_noise(state);
   image.object = nodes_of(image.pixels);
   image.log_depth_origin = mean_log_depth(image.pixels, prior);
   image.source = StationPixels(state, prior, image.pixels, image.log_depth_origin);

@@ -22,6 +22,9 @@ struct PixelData {
 struct RefinementImage : SurfaceEstimate {
   Mask pixels;  ///< of the object, in the nodes' raster
   std::function<PixelData(int u, int v)> source;
+  /// The images' noise as the sinusoids' residuals show it, as a share of the variance that is stated or assumed, at
+  /// most 1; 0 if three images show none.
+  double noise_share = 1;
 
   /// Field of a part with the present surface, without weights. The part's borders must be multiples of the prior
   /// blocks, or the image's.
