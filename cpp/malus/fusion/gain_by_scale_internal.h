@@ -16,9 +16,9 @@ namespace malus {
 /// surface took up. With d the change of the predicted (s1, s2) from the prior to the result and r the residual at the
 /// result, summed over the cells of a region,
 ///   h = d·d / (d·d + d·r): the share of the movement along d supported by the data that the surface has made;
-///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): squared residual across d, at least that of the camera's noise, relative
-///   to the square of the whole movement supported by the data; gain = (1 − c e²) / h, from 0 to 1, as in Wiener's
-///   filter.
+///   e² = (r·r − (d·r)² / d·d) / (d·d / h²): squared residual across d, relative to the square of the whole movement
+///   supported by the data; r·r across d counts as at least the images' noise, which a surface can follow exactly;
+///   gain = (1 − c e²) / h, from 0 to 1, as in Wiener's filter.
 /// The products are those of degrees of polarization: each cell's are divided by its squared s0.
 /// Scales are dyadic: pixels minus their mean over 4 × 4 px, these means minus those over 8 × 8 px, … and the means
 /// over the largest cells. c is half: errors act on both slopes, and half of their squared sum has a curl, which no

@@ -29,7 +29,7 @@ SyntheticOptions matte_scene() {
 GainByScale::Gains gains_of(
     const std::function<double(int, int)>& movement, double noise, double overshoot = 1,
     const ReflectionModel& model = matte_scene().model, double texture = 0,
-    const std::function<void(RefinementField&)>& change = [](RefinementField&) {}) {
+    const std::function<void(RefinementField&)>& change = [](RefinementField&) {}, double noise_share = 1) {
   const SyntheticStation station = make_station(matte_scene());
   RefinementImage image = make_image(station.state, station.prior, Context{});
   image.kind.fill(Reflection::diffuse);
@@ -56,7 +56,7 @@ GainByScale::Gains gains_of(
   }
   move(overshoot);
   change(field);
-  GainByScale gain(image.size(), model.metal_error > 0);
+  GainByScale gain(image.size(), model.metal_error > 0, noise_share);
   gain.add(field, {0, 50}, 0, Context{});  // two parts that share a row of cells
   gain.add(field, {50, 161}, 0, Context{});
   return gain.gains(Context{});
@@ -86,12 +86,24 @@ TEST(GainByScale, PixelNoiseRemovesTheGainOfDetailButNotOfWaves) {
 }
 
 TEST(GainByScale, NoiseThatTheSurfaceFollowsExactlyIsNoGain) {
-  const auto gain_of_detail = [](float noise) {
+  const auto gain_of_detail = [](float noise, double noise_share = 1) {
     const auto change = [noise](RefinementField& field) { field.variance.fill(noise * noise); };
-    return at_center(gains_of(relief, 0, 1, matte_scene().model, 0, change).scales.front());
+    return at_center(gains_of(relief, 0, 1, matte_scene().model, 0, change, noise_share).scales.front());
   };
   EXPECT_GT(gain_of_detail(1e-4F), 0.99);
   EXPECT_LT(gain_of_detail(0.02F), 0.2) << "the camera's noise is stronger than the detail, whatever residual is left";
+  EXPECT_GT(gain_of_detail(0.02F, 0), 0.99) << "the images have less noise than is assumed";
+}
+
+TEST(GainByScale, TheImagesResidualsTellTheirNoise) {
+  const auto noise_share = [](float residual) {
+    SyntheticStation station = make_station(matte_scene());
+    station.state.residual = Image<float>(station.state.size(), 1, residual);
+    return make_image(station.state, station.prior, Context{}).noise_share;
+  };
+  EXPECT_EQ(noise_share(0), 0) << "three images have no residuals";
+  EXPECT_NEAR(noise_share(0.5F), 0.25, 1e-6);
+  EXPECT_EQ(noise_share(2), 1) << "misaligned images are not noise";
 }
 
 TEST(GainByScale, AHighlightDoesNotHideTheNoiseAroundIt) {
