@@ -71,7 +71,7 @@ from malus.object.doubts import doubts_of_stations, warnings_of
 from malus.object.figures import is_closed, mesh_figures, station_figures
 from malus.object.frame import Frame, find_frame
 from malus.object.glb import write_levels
-from malus.object.mesh_file import Coverage
+from malus.object.mesh_file import Coverage, needs_double
 from malus.object.meshing import ObjectMesh, closed_up, face_normals
 from malus.object.ply import columns, read_mesh, write_ply
 from malus.object.texture import NearestVertices, _tangents
@@ -744,6 +744,23 @@ def require_statements(output: Path) -> None:
         document = json.loads(content[20 : 20 + struct.unpack("<I", content[12:16])[0]])
         assert {f"{key}: {words}" for key, words in document["asset"]["extras"].items()} == comments
         assert document["materials"][0]["doubleSided"]  # seen from behind, an open surface was not there
+
+
+@pytest.mark.parametrize(
+    ("place", "gsd", "double"),
+    [
+        (100.0, 0.05, False),  # millimeters about the origin
+        (500_000.0, 5e-4, True),  # a local grid in meters
+        (4_000.0, 0.05, True),  # a monument of 80 000 GSD, about the origin
+    ],
+)
+def test_coordinates_are_double_where_single_precision_would_move_vertices(
+    place: float, gsd: float, double: bool
+) -> None:
+    vertices = np.array([[0.0, 0, 0], [1, 1, 1]]) - [place, 0, 0]
+    assert needs_double(vertices, gsd) == double
+    moved = np.abs(vertices.astype(np.float32) - vertices).max()
+    assert double or moved <= 1e-3 * gsd
 
 
 def changing(file: Path, function: Callable[..., Any]) -> Callable[..., Any]:

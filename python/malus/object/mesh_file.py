@@ -43,17 +43,26 @@ def coverage_of(mesh: ObjectMesh, views: Sequence[View], scratch: Path) -> Cover
     return Coverage(seen / total, alone / total, stations.array())
 
 
+def needs_double(vertices: Floats, gsd: float) -> bool:
+    """Whether rounding to single precision could move a vertex by more than a thousandth of a GSD."""
+    farthest = max(-vertices.min(), vertices.max())
+    return bool(farthest * np.finfo(np.float32).eps / 2 > 1e-3 * gsd)
+
+
 def write_mesh(
-    path: Path, mesh: ObjectMesh, paint: Paint, stations: NDArray[np.uint8], said: Mapping[str, str], scratch: Path
+    path: Path,
+    mesh: ObjectMesh,
+    gsd: float,
+    paint: Paint,
+    stations: NDArray[np.uint8],
+    said: Mapping[str, str],
+    scratch: Path,
 ) -> None:
     """Write the mesh as PLY, with `said` as comments. stations: how many see each vertex."""
     colors = GrowingArray(scratch / "colors", np.uint8, 3)
     for rows in chunks(len(mesh.vertices)):
         colors.add(paint.srgb(mesh.vertices[rows], mesh.normals[rows]))
-    # Coordinates far from the origin need more than single precision.
-    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    far = np.maximum(-low, high).max() > 1e4 * (high - low).max() / 1e3
-    values = columns("xyz", mesh.vertices, "f8" if far else "f4")
+    values = columns("xyz", mesh.vertices, "f8" if needs_double(mesh.vertices, gsd) else "f4")
     values |= columns(("nx", "ny", "nz"), mesh.normals, "f4")
     values |= columns(("red", "green", "blue"), colors.array(), "u1")
     values |= {"sigma": (mesh.sigma, "f4"), "measured": (mesh.measured, "u1"), "stations": (stations, "u1")}

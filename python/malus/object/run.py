@@ -279,7 +279,7 @@ def _fuse(
         stations = station_figures(shown, views, agreements, coverage, gsd)
         doubts = doubts_of_object(stations, figures["closed"], thing, compared, bare)
         said = said_of_object(thing, done, folder.parent, gsd, [*left_out(shown), *doubts])
-        write_mesh(folder / "mesh.ply", mesh, paint, coverage.stations, said, scratch)
+        write_mesh(folder / "mesh.ply", mesh, gsd, paint, coverage.stations, said, scratch)
         files, levels = write_levels(folder, baked, thing.unit, thing.name, thing.texture_format, said)
         files += write_comparison(folder, comparison, mesh, views, gsd, thing)
         files += page.write_maps(folder / "agreement", agreements)
