@@ -14,7 +14,7 @@ from PIL import Image
 import malus
 from conftest import EXAMPLE, needs_plain_memory
 from malus import _core
-from malus.photogrammetry import bench, cost, memory
+from malus.photogrammetry import cost, features, memory
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.program import Colmap
@@ -129,8 +129,9 @@ def test_free_memory_limits_the_threads_of_the_feature_search(
     made.images.mkdir()
     for name, size in (("small.png", (60, 40)), ("large%20one.png", (2400, 1600))):
         Image.new("L", size).save(made.images / name)
-    made.extract_features("features", tmp_path / "features.db", ["small.png", "large one.png"], {})
-    assert bench.sift_mb([(60, 40), (2400, 1600)], 1200) == pytest.approx(288)
+    features._search(made, "features", tmp_path / "features.db", ["small.png", "large one.png"], {}, -1)
+    assert features.sift_mb([(60, 40), (2400, 1600)], 1200) == pytest.approx(288)
+    assert features.sift_mb([(60, 40), (2400, 1600)], 1200, 0) == pytest.approx(72)
     assert given["SiftExtraction.num_threads"] == threads
     assert bool(warned) == (left_mb == 100), warned
 
@@ -192,7 +193,7 @@ def test_expected_memory_is_that_of_the_largest_stage() -> None:
     many, few = work(40, 5196), work(3, 5196)
     # Windows are matched on pyramids of all photos; with few photos the search for features takes more memory than that.
     assert cost.photos_cost(many).memory_mb > 4 / 3 * floats_mb(40, 5196)
-    assert cost.photos_cost(few).memory_mb > 2 * bench.sift_mb(few.sizes, 3200) > 4 / 3 * floats_mb(3, 5196)
+    assert cost.photos_cost(few).memory_mb > 2 * features.sift_mb(few.sizes, 3200) > 4 / 3 * floats_mb(3, 5196)
     assert cost.photos_cost(work(3, 5196, threads=4)).memory_mb > cost.photos_cost(few).memory_mb + 4000
     assert cost.photos_cost(work(3, 5196, max_side_px=1600)).memory_mb < cost.photos_cost(few).memory_mb - 2000
     assert cost.sweep_cost(many).memory_mb > 5 / 4 * floats_mb(40, 5196)

@@ -37,6 +37,7 @@ from malus.photogrammetry import (
     window_matching,
 )
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.features import _search, find_features
 from malus.photogrammetry.journal import UNFINISHED, Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
@@ -69,16 +70,19 @@ if mode == "hang" and command == "mapper":
 if command == "feature_extractor":
     base = sqlite3.connect(arguments["--database_path"])
     base.executescript(
-        "CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT, model INTEGER, width INTEGER, height INTEGER,"
+        "CREATE TABLE IF NOT EXISTS cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT, model INTEGER, width INTEGER, height INTEGER,"
         " params BLOB, prior_focal_length INTEGER);"
-        "CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT, name TEXT, camera_id INTEGER);"
-        "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
-        "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
-        "CREATE TABLE matches (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
-        "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB, config INTEGER)")
-    base.execute("INSERT INTO cameras VALUES (1, 4, 96, 64, x'', 0)")
-    for number, name in enumerate(open(arguments["--image_list_path"]).read().split(), 1):
-        base.execute("INSERT INTO images VALUES (?, ?, 1)", (number, name))
+        "CREATE TABLE IF NOT EXISTS images (image_id INTEGER PRIMARY KEY AUTOINCREMENT, name TEXT, camera_id INTEGER);"
+        "CREATE TABLE IF NOT EXISTS keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE IF NOT EXISTS descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE IF NOT EXISTS matches (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE IF NOT EXISTS two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB, config INTEGER)")
+    base.execute("INSERT OR IGNORE INTO cameras VALUES (1, 4, 96, 64, x'', 0)")
+    for name in open(arguments["--image_list_path"]).read().split():
+        found = base.execute("SELECT image_id FROM images WHERE name = ?", (name,)).fetchone()
+        if found is None:
+            found = (base.execute("INSERT INTO images (name, camera_id) VALUES (?, 1)", (name,)).lastrowid,)
+        number = found[0]
         rows = 10 if mode == "plain" else 900
         base.execute("INSERT INTO keypoints VALUES (?, ?, 6, x'')", (number, rows))
         base.execute("INSERT INTO descriptors VALUES (?, 0, 128, x'')", (number,))
@@ -209,7 +213,7 @@ def test_interrupted_run_can_be_resumed_and_leaves_no_child(
     assert str(tmp_path / "fake" / "colmap") not in children
 
     before = fake_colmap.read_text().split()
-    assert before == ["feature_extractor", "matches_importer", "mapper"]
+    assert list(dict.fromkeys(before)) == ["feature_extractor", "matches_importer", "mapper"]
     monkeypatch.setenv("FAKE", "")
     fails(photo_station, tmp_path / "work", 3, "focal length")
     after = fake_colmap.read_text().split()[len(before) :]
@@ -631,6 +635,36 @@ def test_masks_of_no_photo_are_named(photo_station: Path, fake_colmap: Path) -> 
     assert expected in said()
 
 
+@pytest.mark.parametrize("rich_first", [True, False])
+def test_photos_are_searched_at_twice_their_size_only_if_they_lack_features(tmp_path: Path, rich_first: bool) -> None:
+    """Photos of coarse noise have many features, a photo of spots has few; the largest 500 of each are kept."""
+    noise = np.kron(np.random.default_rng(4).normal(128, 40, (2, 80, 100)), np.ones((1, 5, 5)))
+    v, u = np.mgrid[:400, :500]
+    spots = 255 * np.exp(-((u % 100 - 50.0) ** 2 + (v % 100 - 50.0) ** 2) / 18)
+    pixels = {"noise 1.png": noise[0], "noise 2.png": noise[1], "spots.png": spots}
+    bench = Bench(
+        Colmap(2, "program"), tmp_path, Journal(tmp_path, print), package.Options(photos={"max_features": 500}), lambda *_: None, print,
+    )  # fmt: skip
+    bench.images.mkdir()
+    for name, image in pixels.items():
+        _core.write_png(str(bench.images / database.quoted(name)), np.clip(image, 0, 255).astype(np.uint8))
+    names = list(pixels) if rich_first else list(pixels)[::-1]
+    find_features(bench, "features", tmp_path / "adaptive.db", names, {"camera_model": "OPENCV"})
+
+    def direct(octave: int) -> dict[str, int]:
+        target = tmp_path / f"{octave}.db"
+        _search(bench, "features", target, names, {"camera_model": "OPENCV"}, octave)
+        return database.feature_counts(target)
+
+    found, original, doubled = database.feature_counts(tmp_path / "adaptive.db"), direct(0), direct(-1)
+    assert found["spots.png"] == doubled["spots.png"]
+    assert original["noise 1.png"] != doubled["noise 1.png"]
+    assert found["noise 1.png"] == (original if rich_first else doubled)["noise 1.png"]
+    with closing(sqlite3.connect(tmp_path / "adaptive.db")) as base:
+        assert base.execute("SELECT DISTINCT camera_id FROM images").fetchall() == [(1,)]
+        assert base.execute("SELECT COUNT(*) FROM cameras").fetchone() == (1,)
+
+
 def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
     """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
     file = tmp_path / "features.db"
@@ -671,7 +705,7 @@ def test_masks_hide_the_background_on_a_turntable_only(
         _core.write_png(str(tmp_path / name), np.full((8, 12), 255, np.uint8))
         photos.append(Photo(name, tmp_path / name, 12, 8, mask=tmp_path / name if name == "a.png" else None))
     hidden: list[tuple[str, int]] = []
-    monkeypatch.setattr(Bench, "extract_features", lambda *_: None)
+    monkeypatch.setattr(photo_cameras, "find_features", lambda *_: None)
     monkeypatch.setattr(database, "keep_features", lambda _, name, mask: hidden.append((name, int((mask != 0).sum()))))
     monkeypatch.setattr(database, "feature_counts", lambda _: {"a.png": 300, "b.png": 300})
     journal = Journal(tmp_path, print)

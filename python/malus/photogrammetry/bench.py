@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from malus import _core
 from malus.options import Options
-from malus.photogrammetry import database, memory
+from malus.photogrammetry import database
 from malus.photogrammetry.journal import Journal
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.program import Colmap
@@ -28,19 +28,6 @@ SHARES = {
     "windows": (0.95, 0.98),
     "scale": (0.98, 1.00),
 }
-
-
-#: Bytes per pixel and thread, measured on photos of 1 and 7 megapixels: COLMAP's SIFT works on a photo at twice its size, in
-#: some 18 images of floats.
-_SIFT_BYTES_A_PIXEL = 300
-#: Share of the available memory that the search for features may take.
-_MEMORY_SHARE = 0.7
-
-
-def sift_mb(sizes: Sequence[tuple[int, int]], max_side_px: int) -> float:
-    """Memory (MB) that a thread takes to find the features of the largest image."""
-    pixels = max(width * height * min(1.0, max_side_px / max(width, height)) ** 2 for width, height in sizes)
-    return 1e-6 * _SIFT_BYTES_A_PIXEL * pixels
 
 
 @dataclass(frozen=True)
@@ -68,55 +55,26 @@ class Bench:
         start, end = SHARES[stage]
         self.progress(start + (end - start) * min(max(fraction, 0.0), 1.0), message)
 
-    def counter(self, stage: str, pattern: str, message: str) -> Callable[[str], None]:
-        """A line reader that reports progress from lines with a count and a total, the groups of `pattern`."""
+    def counter(
+        self, stage: str, pattern: str, message: str, part: tuple[float, float] = (0.0, 1.0)
+    ) -> Callable[[str], None]:
+        """A line reader that reports progress from lines with a count and a total, the groups of `pattern`.
+
+        part: of the stage, in which they count.
+        """
         expression = re.compile(pattern)
 
         def read(line: str) -> None:
             match = expression.search(line)
             if match:
                 done, total = int(match[1]), int(match[2])
-                self.report(stage, done / total, f"{message} {done}/{total}")
+                self.report(stage, part[0] + (part[1] - part[0]) * done / total, f"{message} {done}/{total}")
 
         return read
 
     def log_file(self, name: str) -> Path:
         """Where the output of a stage is kept."""
         return self.folder / f"{name}.log"
-
-    def extract_features(self, stage: str, target: Path, names: list[str], reader: dict[str, object]) -> None:
-        """Find the features of images that share one camera, which `reader` (ImageReader.*) describes."""
-        names_file = self.folder / f"{stage}_names.txt"
-        names_file.write_text("".join(f"{database.quoted(name)}\n" for name in names), encoding="utf-8")
-        photos = self.options.photos
-        sizes = [_core.image_size(str(self.images / database.quoted(name))) for name in names]
-        self.colmap.run(
-            "feature_extractor",
-            {
-                "database_path": target,
-                "image_path": self.images,
-                "image_list_path": names_file,
-                "ImageReader.single_camera": 1,
-                **{f"ImageReader.{key}": value for key, value in reader.items()},
-                "SiftExtraction.use_gpu": 0,
-                "SiftExtraction.num_threads": self._feature_threads(sift_mb(sizes, photos.max_side_px)),
-                "SiftExtraction.max_num_features": photos.max_features,
-                "SiftExtraction.max_image_size": photos.max_side_px,
-            },
-            self.log_file(stage),
-            on_line=self.counter(stage, r"Processed file \[(\d+)/(\d+)\]", "features of photo"),
-        )
-
-    def _feature_threads(self, each_mb: float) -> int:
-        """As many threads as there is memory for, if each takes `each_mb`."""
-        left = memory.available_mb()
-        if each_mb > _MEMORY_SHARE * left:
-            self.log(
-                "warning",
-                f"finding features takes {each_mb:.0f} MB of memory, of which {left:.0f} MB are left; a smaller "
-                "photos.max_side_px takes less",
-            )
-        return min(self.colmap.threads, max(1, int(_MEMORY_SHARE * left / each_mb)))
 
     def adjust(self, stage: str, source: Path, target: Path, *, lens: bool, principal_point: bool = False) -> None:
         """Drop points with large residuals, which are mostly wrong matches, and adjust the model to the other points. lens,

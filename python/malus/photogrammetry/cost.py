@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from malus.options import Options
-from malus.photogrammetry.bench import sift_mb
+from malus.photogrammetry.features import sift_mb
 
 # Twice the seconds of one run of the relief (12 photos, 8192 features each) with two threads on a shared machine.
 _SECONDS_A_MEGAPIXEL = 2.4

@@ -53,6 +53,28 @@ def feature_counts(database: Path) -> dict[str, int]:
         return {unquoted(name): int(count) for name, count in rows}
 
 
+def place_counts(database: Path) -> dict[str, int]:
+    """Number of places in every image that have features, by name; a place can have features of several directions."""
+    with closing(sqlite3.connect(database)) as connection:
+        names = _image_names(connection)
+        rows = connection.execute("SELECT image_id, cols, data FROM keypoints")
+        found = {
+            names[number]: len(np.unique(np.frombuffer(data or b"", "<f4").reshape(-1, columns)[:, :2], axis=0))
+            for number, columns, data in rows
+        }
+        return dict.fromkeys(names.values(), 0) | found
+
+
+def remove_features(database: Path, images: Iterable[str]) -> None:
+    """Remove the features of images, which stay in the database with their cameras."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        for table in ("keypoints", "descriptors"):
+            connection.executemany(
+                f"DELETE FROM {table} WHERE image_id = (SELECT image_id FROM images WHERE name = ?)",
+                [(quoted(image),) for image in images],
+            )
+
+
 def camera_of(database: Path, image: str) -> int:
     """Camera number of an image."""
     with closing(sqlite3.connect(database)) as connection:

@@ -18,6 +18,7 @@ from malus.errors import DataError, ExternalError, InputError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.diagnosis import Log, listed
+from malus.photogrammetry.features import find_features
 from malus.photogrammetry.journal import UNFINISHED
 from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photos import (
@@ -274,7 +275,7 @@ def _masks(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
 def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any]:
     target = bench.folder / "features.db"
     for group in groups:
-        bench.extract_features("features", target, [photo.name for photo in group.photos], group.reader())
+        find_features(bench, "features", target, [photo.name for photo in group.photos], group.reader())
         for photo in group.photos:
             if bench.inside_masks and photo.mask is not None:
                 database.keep_features(target, photo.name, _core.read_mask(str(photo.mask)))

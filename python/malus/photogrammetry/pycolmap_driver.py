@@ -23,7 +23,9 @@ def _named(group: str, *paths: str) -> dict[str, str]:
     return {f"{group}.{path.split('.')[-1]}": path for path in paths}
 
 
-_EXTRACTION = _named("SiftExtraction", "use_gpu", "num_threads", "max_image_size", "sift.max_num_features")
+_EXTRACTION = _named(
+    "SiftExtraction", "use_gpu", "num_threads", "max_image_size", "sift.max_num_features", "sift.first_octave"
+)
 _READER = _named("ImageReader", "camera_model", "camera_params", "existing_camera_id")
 _MATCHING = _named("SiftMatching", "use_gpu", "num_threads", "guided_matching")
 _GEOMETRY = _named("SiftMatching", "min_num_inliers")

@@ -16,6 +16,7 @@ from malus.camera import Camera
 from malus.errors import DataError
 from malus.photogrammetry import database, diagnosis
 from malus.photogrammetry.bench import Bench
+from malus.photogrammetry.features import find_features
 from malus.photogrammetry.journal import digest
 from malus.photogrammetry.model import SparseModel, reader_options
 from malus.photogrammetry.photo_cameras import SELF_CALIBRATED, PhotoCameras, placing
@@ -105,7 +106,7 @@ def _place(
     bench.report("station", 0.0, "features of the station's image")
     for image, view in stations.items():
         _core.write_png(str(bench.images / image), pixels[image])
-        bench.extract_features("station", source, [image], _reader(view, source))
+        find_features(bench, "station", source, [image], _reader(view, source))
         if view.mask is not None:
             database.keep_features(source, image, view.mask)
     matches = _match(bench, source, photos, list(stations))
