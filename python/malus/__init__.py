@@ -22,7 +22,8 @@ from malus.exports import export  # noqa: E402
 from malus.object import Object  # noqa: E402
 from malus.options import Options  # noqa: E402
 from malus.paper import merge_campaign, write_paper  # noqa: E402
-from malus.reconstruction import Progress, check, reconstruct  # noqa: E402
+from malus.planning import check  # noqa: E402
+from malus.reconstruction import Progress, reconstruct  # noqa: E402
 from malus.report import open_report, write_report  # noqa: E402
 from malus.result import Confidence, Result  # noqa: E402
 from malus.station import Station  # noqa: E402

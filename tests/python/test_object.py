@@ -82,7 +82,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.program import Colmap
 from malus.photogrammetry.shared_frame import load_cameras, save_cameras
 from malus.photogrammetry.station_pose import StationView
-from malus.reconstruction import expected_times
+from malus.planning import expected_times
 from malus.workspace import Workspace
 from view_scale import drawn_mm, pixel_mm, turning_view
 

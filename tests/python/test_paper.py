@@ -29,7 +29,7 @@ from malus.paper import writing
 from malus.paper.contact_sheet import contact_sheet
 from malus.paper.plates import oblique, sinusoids
 from malus.paper.tables import SURFACES, table_1, table_2
-from malus.reconstruction import expected_times
+from malus.planning import expected_times
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
-from malus.reconstruction import expected_times
+from malus.planning import expected_times
 from malus.workspace import STEPS
 
 #: A stand-in for `colmap` that behaves as the environment variable FAKE says, and logs the commands it is given.

@@ -19,8 +19,9 @@ from PIL import Image
 
 import malus
 from conftest import cloud_of
-from malus import _core, reconstruction
+from malus import _core
 from malus import station as tables
+from malus.photo_steps import inputs_of_fusion
 from malus.photogrammetry.control import require_control_points
 
 ROOT = Path(__file__).parents[2]
@@ -351,7 +352,7 @@ def test_whatever_changes_the_fused_surface_repeats_the_second_sweep(pictures: l
 
     def inputs(maps: Any = zeros, options: malus.Options | None = None, **changes: Any) -> dict[str, Any]:
         description = in_memory(pictures, **changes).describe()
-        return reconstruction._fused_of(description, maps, options or malus.Options())
+        return inputs_of_fusion(description, maps, options or malus.Options())
 
     before = inputs()
     assert before == inputs(name="another", options=malus.Options(assess={"polarization_height": False}))

@@ -13,7 +13,7 @@ from malus.campaign import require_kind
 from malus.cli.output import print_lines, tell_written, view_of
 from malus.cli.settings import options_of
 from malus.errors import InputError
-from malus.reconstruction import PLATES_SECONDS, expected_times
+from malus.planning import PLATES_SECONDS, expected_times
 from malus.report_head import size_of_object
 
 

@@ -22,7 +22,7 @@ from malus.options import Options
 from malus.photogrammetry.diagnosis import listed
 from malus.photogrammetry.photos import photos_of
 from malus.photogrammetry.program import Colmap
-from malus.reconstruction import check
+from malus.planning import check
 from malus.threads import ALL_CORES
 
 _KEYS = {

@@ -18,8 +18,8 @@ from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.overlay import nearest_points
 from malus.pictures import data_url, encode
+from malus.planning import prior_upon_image
 from malus.raster import step_for
-from malus.reconstruction import prior_upon_image
 from malus.studio.pictures import colored, displayed, distorting
 
 #: Long side of the reduced image on which GrabCut runs: it then takes seconds, also for large images.

@@ -14,7 +14,7 @@ from malus._extra import extra
 from malus.camera import Camera
 from malus.errors import DataError, InputError
 from malus.overlay import nearest_points
-from malus.reconstruction import prior_upon_image
+from malus.planning import prior_upon_image
 from malus.studio.preview import angles_from_x, as_picture, small_images
 
 #: Radius over which points of a cloud are averaged, in cells of about one point each: single points give no slopes.
