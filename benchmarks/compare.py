@@ -36,9 +36,9 @@ def height_system(arguments: argparse.Namespace, folder: Path) -> str:
     )
     return f"""## Height system, {side} × {side} pixels
 
-Central differences, anisotropic in every direction somewhere (`tests/cpp/linalg/height_like_system.h`); seconds from the assembled system
-to the solution, factorizations included; peak memory with the system. `CHOLMOD (METIS)` is the same code in its default ordering, `by position` in ours
-(decision 20), both on one thread.
+Central differences, anisotropic in every direction somewhere (`tests/cpp/linalg/height_like_system.h`). Seconds are those
+from the assembled system to the solution, factorizations included; peak memory includes the system. `CHOLMOD (METIS)` is
+the same code in its default ordering, `by position` in ours (decision 20), both on one thread.
 
 {comparison(rows, "Malus, CHOLMOD by position", "iterations")}
 
@@ -65,10 +65,14 @@ def sinusoid_fit(arguments: argparse.Namespace, folder: Path) -> str:
 
     return f"""## Sinusoid fit, six images of {arguments.fit_side} × {arguments.fit_side} pixels
 
-Intensity, degree and phase; Malus and numpy also the residual, Malus also the state of each pixel. `copy` copies the six images. First 16-bit
-images, which numpy and polanalyser get in float32 (their own float64 is slower), then float32 ones.
+All compute intensity, degree and phase; Malus and numpy also the residual, Malus also the state of each pixel. `copy`
+only copies the six images.
+
+16-bit images, which numpy and polanalyser get in float32 (their own float64 is slower):
 
 {fits("uint16")}
+
+float32 images:
 
 {fits("float32")}
 """
@@ -93,9 +97,10 @@ def registration(arguments: argparse.Namespace, folder: Path) -> str:
     rows |= medians({"OpenCV, ECC to 1e-7": register("ecc, converged", arguments.threads)}, 1)
     return f"""## Registration, six images of {width} × {width * 2 // 3} pixels
 
-Affine maps to the first image, of one texture whose polarization varies, moved by up to 3 px, 0.05° and 2e-4 of scale and shear, with
-noise. Error: RMS displacement from the true maps over corners and center, in pixels. ECC runs over a pyramid down to 100 pixels with
-OpenCV's default criteria, 50 iterations and 1e-3, and, once, with 200 and 1e-7.
+Affine maps to the first image are found. The images show one texture whose polarization varies, moved by up to 3 px,
+0.05° and 2e-4 of scale and shear, with noise. Error: RMS displacement from the true maps over corners and center, in
+pixels. ECC runs over a pyramid down to 100 pixels with OpenCV's default criteria, 50 iterations and 1e-3, and once with
+200 and 1e-7.
 
 {comparison(rows, "Malus", "error_px")}
 """
@@ -116,11 +121,12 @@ def clouds_and_meshes(arguments: argparse.Namespace, folder: Path) -> str:
     ]
     return f"""## Dense clouds and large meshes
 
-Which of {arguments.million_points:g} million points in random order a view of 5184 × 3456 pixels sees, memory with the cloud; fitting the spline comes on top:
+Finding which of {arguments.million_points:g} million points in random order a view of 5184 × 3456 pixels sees. Memory includes the cloud;
+fitting the spline comes on top:
 
 {comparison(clouds, f"{arguments.threads} threads")}
 
-A mesh of {arguments.fit_side} × {arguments.fit_side} vertices, written and synced, beside `cp` and `sync` of the same file, in MB/s:
+Writing and syncing a mesh of {arguments.fit_side} × {arguments.fit_side} vertices, beside `cp` and `sync` of the same file, in MB/s:
 
 {table(["file", "written", "copied"], lines)}
 """
@@ -166,9 +172,10 @@ def whole_stations(arguments: argparse.Namespace, folder: Path) -> str:
             steps += step_lines(f"{megapixels:g} Mpx, refined", {"fuse": several["fuse"]}, {"fuse": alone[0]["fuse"]})
     return f"""## Whole stations
 
-Synthetic reliefs (`malus.synthetic`), all object, prior from a depth map, from the images to the assessed surface: sums of the steps' medians of
-{runs} runs on {threads} threads and on one; refined, and with a cloud of 170 000 points a megapixel instead of the depth map, one run.
-`benchmarks/whole_station.py` prints every step. 100 megapixels: decision 3.
+Synthetic reliefs (`malus.synthetic`) that fill the image, from the images to the assessed surface. The prior is a depth
+map, or, in rows with "cloud", a cloud of 170 000 points a megapixel. Seconds are sums over the steps, on {threads} threads and
+on one: of medians of {runs} runs with grid fusion and a depth map, of one run otherwise. `benchmarks/whole_station.py`
+prints every step.
 
 {table(["megapixels", "fusion", "seconds", "on one thread", "processor seconds a megapixel", "peak GB"], sums)}
 
@@ -201,10 +208,15 @@ def main() -> None:
         return
     page = f"""# Benchmarks
 
-Written by `benchmarks/run` on {platform.processor() or platform.machine()}, {arguments.threads} threads; medians of {arguments.runs}, each in a process of its own, in turn.
-Memory is written to and freed just before each, since a virtual machine's host may have taken back what was free (0.45 GB/s to get it
-again were seen, 6 GB/s after that). Only ratios within a table can be compared with other machines. Instructions of the kernels are counted by `tests/performance/run` (decision 35), the surface
-sweep is measured by `benchmarks/sweep.py` (docs/method.md), and what ± 50 % of each constant does by `benchmarks/constants.py` (docs/constants.md).
+Written by `benchmarks/run` on {platform.processor() or platform.machine()} with {arguments.threads} threads. Figures are medians of {arguments.runs} runs, which alternate
+with those of the other rows, each in a process of its own. Memory is written to and freed just before each run, because
+the host of a virtual machine may have taken back what was free: getting it again was seen at 0.45 GB/s, 6 GB/s after
+that. Only ratios within a table can be compared with other machines.
+
+Elsewhere: instructions of the kernels (`tests/performance/run`, decision 35), the surface sweep (`benchmarks/sweep.py`,
+[method](method.md), section 6), what ± 50 % of each constant does (`benchmarks/constants.py`,
+[constants](constants.md)), 100 megapixels ([decision 3](decisions/0003-cost-model.md)), and photographs of a camera's
+full size ([reliability](reliability.md#at-camera-scale)).
 
 {text}"""
     arguments.output.write_text(page)

@@ -181,6 +181,13 @@ def test_lists_within_lists_are_indented_by_four(page: Path) -> None:
     assert not re.findall(r"^ {1,3}(?:[-*]|\d+\.) .*", BLOCK.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: str(page.relative_to(ROOT)))
+def test_rows_of_tables_are_lines(page: Path) -> None:
+    """Rows that were joined to one paragraph are no table."""
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    assert not re.findall(r"^ *\|.*\| +\|(?: ?-{3,} ?\|)+.*", text, re.MULTILINE)
+
+
 def test_marked_commands_are_in_the_test_that_their_page_names() -> None:
     for page in PAGES:
         for how, _, file, kind, block in MARK.findall(page.read_text(encoding="utf-8")):
