@@ -94,18 +94,16 @@ void registration() {
         [&] { return register_images(images, NoiseModel{}, {}, one_thread)[1].status == RegistrationStatus::ok; });
 }
 
-void grid_systems() {
-  for (const bool direct : {false, true}) {
-    constexpr int side = 112;
-    const PixelIndex pixels(Mask({side, side}, 1, 1));
-    GridSystem system(pixels);
-    add_height_like_rows(system);
-    count(direct ? "CHOLMOD, nested dissection" : "conjugate gradients", [&] {
-      GridSolver solver(pixels, one_thread, direct ? pixels.count() : 0);
-      Eigen::VectorXd x;
-      return solver.solve(system, 1e-11 * system.largest_diagonal(), x) == SolveStatus::solved;
-    });
-  }
+void grid_system() {
+  constexpr int side = 112;
+  const PixelIndex pixels(Mask({side, side}, 1, 1));
+  GridSystem system(pixels);
+  add_height_like_rows(system);
+  count("CHOLMOD, nested dissection", [&] {
+    GridSolver solver(pixels, one_thread);
+    Eigen::VectorXd x;
+    return solver.solve(system, 1e-11 * system.largest_diagonal(), x) == SolveStatus::solved;
+  });
 }
 
 void height() {
@@ -190,7 +188,7 @@ int main(int arguments, char** argument) {
   try {
     sinusoid_fit_and_zenith();
     registration();
-    grid_systems();
+    grid_system();
     height();
     prior();
     sweep();

@@ -129,9 +129,7 @@ void hold_ring(HeightData& tile, const Image<float>& start, PixelRect box) {
 HeightMap solve_tile(const HeightData& tile, const Image<float>& start, PixelRect box, const HeightOptions& options,
                      const HeightLight& light, const Context& context) {
   const bool likelihood = options.method == HeightMethod::likelihood;
-  // The likelihood takes one step from a good start, by conjugate gradients: a factorization would take four times as
-  // long.
-  HeightProblem problem(tile, options, light, context, likelihood ? 0 : GridSolver::most_direct_unknowns);
+  HeightProblem problem(tile, options, light, context);
   HeightMap map;
   map.height = Image<float>(tile.size(), 1, no_value);
   map.unknowns = static_cast<std::size_t>(problem.unknowns());

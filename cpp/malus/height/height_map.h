@@ -40,7 +40,7 @@ struct HeightMap {
   double last_update = 0;   ///< RMS change of the slope in the last iteration
   double over_prior = 0;    ///< standard deviation of the height over that of the prior; 0 = no prior
   int unsolved_tiles = 0;   ///< parts of a large height that stay as at half the resolution, unsolved
-  double solver_bytes = 0;  ///< memory of the factor, complete or incomplete
+  double solver_bytes = 0;  ///< memory of the factors
 
   // The map is not listed.
   MALUS_FIELDS(perspective, light, status, residual_rms, unknowns, iterations, last_update, over_prior, unsolved_tiles,

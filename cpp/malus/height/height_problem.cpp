@@ -10,18 +10,17 @@ namespace {
 /// Eq 11 divides by cos θ; at larger zeniths than this (87°) the quotient is noise.
 constexpr double smallest_cosine = 0.05;
 /// Share of the largest diagonal entry that is added to every diagonal entry: fixes the height's free constant. In
-/// tiles with a `ring_height` the larger share holds all pixels to the start, for parts not connected with the ring.
-constexpr double relative_ridge = 1e-11, relative_hold = 1e-8;
+/// tiles with a `ring_height` the larger share holds all pixels to the start, which is better than what the data hardly
+/// determine (decision 20).
+constexpr double relative_ridge = 1e-11, relative_hold = 3e-4;
 /// Weight of heights that are held: those in `ring_height`, and the prior's while it is continued.
 constexpr double held_weight = 1e4;
-/// |A x − b| / |A start − b| at which conjugate gradients end a Gauss–Newton step.
-constexpr double step_reduction = 0.1;
 constexpr std::size_t grain = 4096;
 
 }  // namespace
 
 HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light,
-                             const Context& context, int direct_unknowns)
+                             const Context& context)
     : data_(data),
       options_(options),
       light_(light),
@@ -30,7 +29,7 @@ HeightProblem::HeightProblem(const HeightData& data, const HeightOptions& option
       context_(context),
       pixels_(data.object),
       system_(pixels_),
-      solver_(pixels_, context, direct_unknowns),
+      solver_(pixels_, context),
       frames_(static_cast<std::size_t>(pixels_.count())),
       terms_(frames_.size()) {
   for_each_pixel([&](int i) { frames_[static_cast<std::size_t>(i)] = frame_at(pixels_.u(i), pixels_.v(i)); });
@@ -41,14 +40,13 @@ bool HeightProblem::start_from_prior(Eigen::VectorXd& height) {
   for (int i = 0; i < pixels_.count(); ++i) height[i] = pixel(i).prior_height;
   if (height.allFinite()) return true;
   if (!height.array().isFinite().any()) return false;
-  for (double& value : height) value = std::isfinite(value) ? value : 0;  // a start for conjugate gradients
   for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, false); });
-  return solve_assembled(0, height, true) == SolveStatus::solved;
+  return solve_assembled(height, true) == SolveStatus::solved;
 }
 
 SolveStatus HeightProblem::solve_linear(bool literal, Eigen::VectorXd& height) {
   for_each_pixel([&](int i) { terms_[static_cast<std::size_t>(i)] = linear_term(i, literal); });
-  return solve_assembled(0, height);
+  return solve_assembled(height);
 }
 
 double HeightProblem::linearize(const Eigen::VectorXd& height) {
@@ -56,15 +54,15 @@ double HeightProblem::linearize(const Eigen::VectorXd& height) {
 }
 
 SolveStatus HeightProblem::solve_linearized(Eigen::VectorXd& height) {
-  return solve_assembled(step_reduction, height);
+  return solve_assembled(height);
 }
 
-SolveStatus HeightProblem::solve_assembled(double reduction, Eigen::VectorXd& height, bool holds_prior) {
+SolveStatus HeightProblem::solve_assembled(Eigen::VectorXd& height, bool holds_prior) {
   assemble(holds_prior);
   const bool goes_on = !data_.ring_height.empty();
   const double ridge = (goes_on ? relative_hold : relative_ridge) * system_.largest_diagonal();
   for (int i = 0; goes_on && i < pixels_.count(); ++i) system_.add_right(i, ridge * height[i]);
-  return solver_.solve(system_, ridge, height, reduction);
+  return solver_.solve(system_, ridge, height);
 }
 
 double HeightProblem::slope_rms(const Eigen::VectorXd& height) const {

@@ -20,13 +20,12 @@ struct HeightLight {
 /// The height's least-squares problem, with one unknown per pixel of the object.
 class HeightProblem {
  public:
-  /// Data and options must outlive this. Systems with more than `direct_unknowns` are solved by conjugate gradients.
-  HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context,
-                int direct_unknowns = GridSolver::most_direct_unknowns);
+  /// Data and options must outlive this.
+  HeightProblem(const HeightData& data, const HeightOptions& options, const HeightLight& light, const Context& context);
 
   int unknowns() const { return pixels_.count(); }
   const PixelIndex& pixels() const { return pixels_; }
-  double solver_bytes() const { return solver_.summary().bytes; }
+  double solver_bytes() const { return solver_.factor_bytes(); }
 
   /// Sets `height` to the prior's heights, continued by the linear system where the prior has none. False if the prior
   /// has no height at all or cannot be continued.
@@ -36,8 +35,7 @@ class HeightProblem {
   SolveStatus solve_linear(bool literal, Eigen::VectorXd& height);
   /// Linearizes the likelihood at a height; returns its robust cost per pixel.
   double linearize(const Eigen::VectorXd& height);
-  /// Minimizes the likelihood linearized at `height` and sets `height` to the minimum. Conjugate gradients stop at a
-  /// tenth of the initial residual: the next Gauss–Newton step removes the remaining error with better weights.
+  /// Minimizes the likelihood linearized at `height` and sets `height` to the minimum.
   SolveStatus solve_linearized(Eigen::VectorXd& height);
 
   /// RMS of the derivatives of a height.
@@ -114,7 +112,7 @@ class HeightProblem {
   double likelihood_term(int i, const Eigen::VectorXd& height, Term& term) const;
   /// Rows of the terms, smoothness and held heights; with `holds_prior` the prior's heights are held, too.
   void assemble(bool holds_prior);
-  SolveStatus solve_assembled(double reduction, Eigen::VectorXd& height, bool holds_prior = false);
+  SolveStatus solve_assembled(Eigen::VectorXd& height, bool holds_prior = false);
   void add_term(const Term& term, const Difference& by_u, const Difference& by_v);
   void add_smoothness(int here, int before, int after);
   void add_held(int i, float target, double weight);
