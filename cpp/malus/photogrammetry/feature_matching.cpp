@@ -1,72 +1,95 @@
+#include <cblas.h>
+
 #include <algorithm>
 #include <cmath>
 
 #include "malus/core/parallel_internal.h"
+#include "malus/linalg/sequential_blas_internal.h"
 #include "malus/photogrammetry/feature_matching_internal.h"
 
 namespace malus {
 namespace {
 
-constexpr Eigen::Index block = 64;
 /// Product of two descriptors of equal direction.
-constexpr double full_product = 512.0 * 512.0;
+constexpr float full_product = 512.0F * 512.0F;
 
 /// Largest ratio of the angles to the best and the second-best descriptor (Lowe 2004).
 constexpr double max_ratio = 0.8;
 /// Largest angle between matching descriptors.
 constexpr double max_distance_rad = 0.7;
 
-/// Rows as 16-bit numbers, whose products the compiler sums eight at a time.
-using Wide = Eigen::Matrix<std::int16_t, Eigen::Dynamic, 128, Eigen::RowMajor>;
+/// Products of all descriptors of one photo with all of another are computed in squares of this side, which stay in the
+/// cache. They are whole numbers below 2^24, so that single precision is exact, with any BLAS.
+constexpr int side = 256;
+using Rows = Eigen::Matrix<float, Eigen::Dynamic, 128, Eigen::RowMajor>;
 
-std::int32_t product(const std::int16_t* a, const std::int16_t* b) {
-  std::int32_t sum = 0;
-  for (int k = 0; k < 128; ++k) sum += static_cast<std::int32_t>(a[k]) * b[k];
-  return sum;
-}
-
-/// The two largest products of a feature so far, and the index of the feature with the larger one.
+/// For each feature of a photo the two largest products with features of the other photo so far, and the index of the
+/// feature with the larger one.
 struct Nearest {
-  std::int32_t best = 0, second = 0;
-  std::uint32_t index = 0;
+  std::vector<float> best, second;
+  std::vector<std::uint32_t> index;
 
-  void offer(std::int32_t value, Eigen::Index candidate) {
-    if (value > best) {
-      second = best;
-      best = value;
-      index = static_cast<std::uint32_t>(candidate);
-    } else if (value > second) {
-      second = value;
+  explicit Nearest(Eigen::Index count)
+      : best(static_cast<std::size_t>(count)), second(best.size()), index(best.size()) {}
+
+  void offer(std::size_t feature, float product, std::size_t candidate) {
+    if (product > best[feature]) {
+      second[feature] = best[feature];
+      best[feature] = product;
+      index[feature] = static_cast<std::uint32_t>(candidate);
+    } else if (product > second[feature]) {
+      second[feature] = product;
     }
   }
-  bool is_distinct() const {
-    const double nearest = std::acos(std::min(best / full_product, 1.0));
-    const double next = std::acos(std::min(second / full_product, 1.0));
-    return best > 0 && nearest <= max_distance_rad && nearest < max_ratio * next;
+  bool is_distinct(std::size_t feature) const {
+    const double nearest = std::acos(std::min(best[feature] / full_product, 1.0F));
+    const double next = std::acos(std::min(second[feature] / full_product, 1.0F));
+    return best[feature] > 0 && nearest <= max_distance_rad && nearest < max_ratio * next;
   }
 };
+
+/// Offers the products of feature `i` of the first photo with `count` features of the second one, from `first` on.
+void offer_row(const float* products, std::size_t i, std::size_t first, std::size_t count, Nearest& of_a,
+               Nearest& of_b) {
+  // Few products are among the largest; comparing several at once passes over the others.
+  constexpr std::size_t run = 16;
+  for (std::size_t start = 0; start < count; start += run) {
+    const std::size_t end = std::min(start + run, count);
+    const float limit = of_a.second[i];
+    int counts = 0;
+    for (std::size_t k = start; k < end; ++k) counts |= products[k] > std::min(limit, of_b.second[first + k]) ? 1 : 0;
+    if (counts == 0) continue;
+    for (std::size_t k = start; k < end; ++k) {
+      of_a.offer(i, products[k], first + k);
+      of_b.offer(first + k, products[k], i);
+    }
+  }
+}
 
 }  // namespace
 
 std::vector<std::pair<std::uint32_t, std::uint32_t>> match_features(const Descriptors& a, const Descriptors& b) {
-  const Wide wide_a = a.cast<std::int16_t>(), wide_b = b.cast<std::int16_t>();
-  std::vector<Nearest> of_a(static_cast<std::size_t>(a.rows())), of_b(static_cast<std::size_t>(b.rows()));
-  for (Eigen::Index first = 0; first < b.rows(); first += block) {
-    const Eigen::Index last = std::min(first + block, b.rows());
-    for (Eigen::Index i = 0; i < a.rows(); ++i) {
-      for (Eigen::Index j = first; j < last; ++j) {
-        const std::int32_t value = product(wide_a.row(i).data(), wide_b.row(j).data());
-        of_a[static_cast<std::size_t>(i)].offer(value, j);
-        of_b[static_cast<std::size_t>(j)].offer(value, i);
+  const SequentialBlas blas;
+  const Rows rows_a = a.cast<float>(), rows_b = b.cast<float>();
+  Nearest of_a(a.rows()), of_b(b.rows());
+  std::vector<float> products(static_cast<std::size_t>(side) * side);
+  for (Eigen::Index first_b = 0; first_b < b.rows(); first_b += side) {
+    const auto count_b = static_cast<int>(std::min<Eigen::Index>(side, b.rows() - first_b));
+    for (Eigen::Index first_a = 0; first_a < a.rows(); first_a += side) {
+      const auto count_a = static_cast<int>(std::min<Eigen::Index>(side, a.rows() - first_a));
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, count_a, count_b, 128, 1, rows_a.row(first_a).data(), 128,
+                  rows_b.row(first_b).data(), 128, 0, products.data(), side);
+      for (int i = 0; i < count_a; ++i) {
+        offer_row(&products[static_cast<std::size_t>(i) * side], static_cast<std::size_t>(first_a + i),
+                  static_cast<std::size_t>(first_b), static_cast<std::size_t>(count_b), of_a, of_b);
       }
     }
   }
   std::vector<std::pair<std::uint32_t, std::uint32_t>> matches;
-  for (std::uint32_t i = 0; i < of_a.size(); ++i) {
-    const Nearest& nearest = of_a[i];
-    if (!nearest.is_distinct()) continue;
-    const Nearest& back = of_b[nearest.index];
-    if (back.index == i && back.is_distinct()) matches.emplace_back(i, nearest.index);
+  for (std::uint32_t i = 0; i < of_a.index.size(); ++i) {
+    if (!of_a.is_distinct(i)) continue;
+    const std::uint32_t j = of_a.index[i];
+    if (of_b.index[j] == i && of_b.is_distinct(j)) matches.emplace_back(i, j);
   }
   return matches;
 }

@@ -1,6 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <random>
+#include <vector>
 
 #include "malus/photogrammetry/feature_matching_internal.h"
 
@@ -27,6 +30,42 @@ TEST(MatchFeatures, FindsAPermutation) {
   const auto matches = match_features(a, b);
   ASSERT_EQ(matches.size(), 150U);
   for (const auto& [i, j] : matches) EXPECT_EQ(j, (i * 7) % 150);
+}
+
+/// The criteria for one direction, by a plain search: the match of each row of `a` in `b`, -1 if there is none.
+std::vector<int> plain_search(const Descriptors& a, const Descriptors& b) {
+  const Eigen::MatrixXi products = a.cast<int>() * b.cast<int>().transpose();
+  std::vector<int> found;
+  for (Eigen::Index i = 0; i < a.rows(); ++i) {
+    Eigen::Index best = 0;
+    const double first = std::acos(std::min(products.row(i).maxCoeff(&best) / (512.0 * 512.0), 1.0));
+    Eigen::RowVectorXi others = products.row(i);
+    others[best] = 0;
+    const double second = std::acos(others.maxCoeff() / (512.0 * 512.0));
+    found.push_back(first <= 0.7 && first < 0.8 * second ? static_cast<int>(best) : -1);
+  }
+  return found;
+}
+
+TEST(MatchFeatures, GivesTheMatchesOfAPlainSearch) {
+  const Descriptors a = random_descriptors(700, 6);
+  Descriptors b = random_descriptors(530, 7);
+  std::mt19937 random(8);
+  std::normal_distribution<double> noise(0, 12);
+  for (Eigen::Index k = 0; k < b.rows(); k += 2) {  // half of them are those of a, with noise
+    Eigen::RowVectorXd row = a.row((k * 13) % a.rows()).cast<double>();
+    for (double& x : row) x = std::max(x + noise(random), 0.0);
+    b.row(k) = (512 * row.normalized()).array().round().min(255).cast<std::uint8_t>();
+  }
+  const std::vector<int> of_a = plain_search(a, b), of_b = plain_search(b, a);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> expected;
+  for (std::uint32_t i = 0; i < of_a.size(); ++i) {
+    const int j = of_a[i];
+    if (j >= 0 && of_b[static_cast<std::size_t>(j)] == static_cast<int>(i)) expected.emplace_back(i, j);
+  }
+  EXPECT_GT(expected.size(), 150U);
+  EXPECT_LT(expected.size(), 530U);
+  EXPECT_EQ(match_features(a, b), expected);
 }
 
 TEST(MatchFeatures, LeavesOutAmbiguousAndDistantMatches) {
