@@ -80,6 +80,8 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
         shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
+        if not fits:  # a warning says so
+            continue
         lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
         distance = quality["reference"]["distance_gsd"]

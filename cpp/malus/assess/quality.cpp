@@ -189,6 +189,22 @@ HeightFigures describe_height(const HeightMap& height) {
   return figures;
 }
 
+/// Patches and profiles that have no figures would otherwise just be missing in the report.
+void warn_of_missing_sections(const Quality& quality, const Context& context) {
+  for (const PatchFigures& patch : quality.patches) {
+    if (patch.fused) continue;
+    context.log(LogLevel::warning, "[[patch]] \"" + patch.name +
+                                       "\": ten pixels of the surface or fewer lie in its box, expected more: it has no "
+                                       "figures");
+  }
+  for (const ProfileFigures& profile : quality.profiles) {
+    if (profile.status == ProfileStatus::done) continue;
+    context.log(LogLevel::warning, "[[profile]] \"" + profile.name +
+                                       "\": its line hardly meets the surface, expected one across it: it has no "
+                                       "section");
+  }
+}
+
 }  // namespace
 
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context) {
@@ -247,6 +263,7 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
     quality.profiles.push_back(
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
+  warn_of_missing_sections(quality, context);
   quality.confidence = assessed_confidence(input, context);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");

@@ -39,6 +39,8 @@ def profiles(plates: Plates) -> Iterator[Figure]:
     """Sections through prior, polarization height and fused surface (Fig. 12 and 13), and the detail of prior and fused surface."""
     sigma_px = float(plates.workspace.manifest["options"]["assess"]["detail_sigma_px"])
     to_micrometers = 1e6 * METERS[plates.unit]
+        if not profile["position"]:  # The line lies beside the surface; a warning says so.
+            continue
     for number, profile in enumerate(plates.quality["profiles"], 1):
         drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
         above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
