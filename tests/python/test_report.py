@@ -466,6 +466,21 @@ def test_color_bars_show_where_values_lie_beyond_them(limits: tuple[float, float
     assert picture.colorbar is not None and picture.colorbar.extend == ends
 
 
+@pytest.mark.parametrize("values", [(6e-6, 6e-5), (1000.01, 1000.21), (2e6, 9e6)])
+def test_axes_have_complete_numbers(values: tuple[float, float]) -> None:
+    """A color bar in meters said 2, 4 and 6: the factor of 1e-5 lay below the picture, and so did the offset of depths."""
+    drawing = figures.drawing.new_drawing(4, 3)
+    axes = drawing.add_axes((0, 0.3, 1, 0.7))
+    figures.drawing.color_bar(drawing, axes.imshow([values]), "m")
+    sections = drawing.add_axes((0.2, 0.4, 0.5, 0.5))
+    sections.plot(values, values)
+    figures.drawing.style(sections)
+    figures.drawing.drawn(drawing)
+    for axis in (drawing.axes[1].xaxis, sections.xaxis, sections.yaxis):
+        shown = [float(label.get_text().replace(MINUS, "-")) for label in axis.get_ticklabels()]
+        np.testing.assert_allclose(shown, axis.get_ticklocs(), rtol=1e-6, atol=1e-9)
+
+
 def test_reduced_rasters_average_only_valid_pixels() -> None:
     raster = np.array([[1, 3, 10], [np.nan, 5, np.nan]], np.float32)
     np.testing.assert_allclose(raster_module.reduced(raster, 2), [[3, 10]])
