@@ -82,7 +82,9 @@ def _beyond(colored: Any) -> Literal["neither", "min", "max", "both"]:
 
 
 def _complete_numbers(axis: Any) -> None:
-    """Label an axis with complete numbers, such as 0.00002 or 1000.05: matplotlib would write a common factor or offset beside them, where it is cut off."""
+    """Label an axis with complete numbers, such as 0.00002 or 1000.05: matplotlib would write a common factor or offset beside them,
+    where it is cut off.
+    """
     axis.get_major_formatter().set_useOffset(False)
     axis.get_major_formatter().set_scientific(False)
 
