@@ -338,9 +338,11 @@ def _manifest(task: Task) -> str | None:
 def _figures(quality: Mapping[str, Any]) -> dict[str, Any]:
     """The figures of a station that the merged table shows."""
 
+    # Means over different patches could not be compared.
+    both = [patch for patch in quality["patches"] if patch["prior"] is not None and patch["fused"] is not None]
+
     def mean_patch(surface: str) -> float | None:
-        fits = [patch[surface]["rmse_gsd"] for patch in quality["patches"] if patch[surface] is not None]
-        return sum(fits) / len(fits) if fits else None
+        return sum(patch[surface]["rmse_gsd"] for patch in both) / len(both) if both else None
 
     reference = quality["reference"]
     return {

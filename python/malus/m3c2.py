@@ -1,7 +1,8 @@
 """Distances between the surface and a reference scan by M3C2 (Lague, Brodu and Leroux 2013), through py4dgeo.
 
 M3C2 averages both clouds in a cylinder along the local normal, so that noise and density of the clouds hardly matter. For every
-point it also gives the smallest distance that could be detected. It complements the point-to-surface comparison in quality.json.
+point it also gives the smallest distance that could be detected, by the scatter of both clouds; errors of their alignment are not in
+it. It complements the point-to-surface comparison in quality.json.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ CORE_POINTS = 200000
 _POINTS_IN_CYLINDER = 25
 NORMAL_FACTOR = 3.0
 _BINS = 50
+#: Surface and scan are not compared where they are farther apart than this.
+_FARTHEST_GSD = 50.0
 
 
 def py4dgeo() -> ModuleType:
@@ -54,6 +57,15 @@ def _aligned(
     rotation = np.array(motion["rotation"]).reshape(3, 3)
     moved: NDArray[np.float64] = motion["scale"] * points @ rotation.T + np.array(motion["translation"])
     return moved, rotation @ direction
+
+
+def _moved_back(points: NDArray[np.float64], comparison: dict[str, Any] | None) -> NDArray[np.float64]:
+    """Points of the reference's frame in that of the surface."""
+    if not comparison:
+        return points
+    motion = comparison["reference_from_surface"]
+    back: NDArray[np.float64] = (points - np.array(motion["translation"])) @ np.array(motion["rotation"]).reshape(3, 3)
+    return back / motion["scale"]
 
 
 def distances(
@@ -113,6 +125,34 @@ def spread_out(values: NDArray[np.float64], step: int, known: NDArray[np.bool_])
     return np.where(known, core[np.ix_(rows, columns)], np.float32(np.nan))
 
 
+def _spacing_px(workspace: Workspace, scan: NDArray[np.float64]) -> float:
+    """Distance between the points of a scan on the surface, in pixels of the station. Neither the surface where the scan has no points
+    counts, nor points behind it, as those of an object's other side.
+    """
+    depth, camera, (rotation, translation) = workspace.raster("fused/depth.tif"), workspace.camera, workspace.pose
+    x, y, z = (_moved_back(scan, workspace.quality["reference"]) @ rotation.T + translation).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    inside = (z > 0) & (u > -0.5) & (v > -0.5) & (u < camera.width - 0.5) & (v < camera.height - 0.5)
+    columns, rows = (np.rint(at[inside]).astype(int) for at in (u, v))
+    on_surface = np.abs(z[inside] - depth[rows, columns]) < _FARTHEST_GSD * float(workspace.quality["gsd"])
+    columns, rows = columns[on_surface], rows[on_surface]
+    if len(rows) == 0:
+        return 1.0
+    known = np.isfinite(depth)
+    spacing = float(np.sqrt(known.sum() / len(rows)))
+    for _ in range(5):
+        # The area of the cells with points; cells of 16 points are seldom empty by chance.
+        side = int(np.ceil(4 * spacing))
+        counts = known.astype(np.int64)
+        for axis in (0, 1):
+            counts = np.add.reduceat(counts, np.arange(0, counts.shape[axis], side), axis)
+        occupied = np.zeros(counts.shape, bool)
+        occupied[rows // side, columns // side] = True
+        spacing = float(np.sqrt(counts[occupied].sum() / len(rows)))
+    return spacing
+
+
 def _summary(found: NDArray[np.float64], detectable: NDArray[np.float64], gsd: float) -> dict[str, Any]:
     known = np.isfinite(found)
     # A cylinder with too few points has no scatter, and so no limit: whether its distance is significant cannot be said.
@@ -168,22 +208,20 @@ def compare(work: str | Path, reference: str | Path, *, radius: float | None = N
     step = thinning(int(known.sum()))
     core = known[::step, ::step]
     surface, core_points = grid[known], grid[::step, ::step][core]
-    low, high = surface.min(0) - 50 * gsd, surface.max(0) + 50 * gsd
+    low, high = surface.min(0) - _FARTHEST_GSD * gsd, surface.max(0) + _FARTHEST_GSD * gsd
     near = scan[((scan >= low) & (scan <= high)).all(1)]
     if len(near) < 10:
         raise DataError(
             f"{reference}: {len(near)} points lie near the surface, expected more; is it in the same frame and unit?"
         )
-    # The area common to both clouds is about the area of the surface's pixels.
-    sparser = max(gsd, float(np.sqrt(len(surface) * gsd**2 / len(near))))
-    chosen = radius or cylinder_radius(sparser)
+    chosen = radius or cylinder_radius(gsd * max(1.0, _spacing_px(workspace, near)))
     found, detectable = distances(
         near,
         surface,
         core_points,
         surface,
         radius=chosen,
-        largest=50 * gsd,
+        largest=_FARTHEST_GSD * gsd,
         towards=towards,
     )
     if not np.isfinite(found).any():

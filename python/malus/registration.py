@@ -105,14 +105,14 @@ def place_reference(surface: ArrayLike, towards_camera: ArrayLike, reference: Ar
 
 
 def register_reference(work: str | Path, reference: str | Path) -> Path:
-    """Register a reference (PLY or XYZ; only the vertices of a mesh; station unit) in any pose to the surface of a workspace.
+    """Register a reference (PLY or XYZ, station unit) in any pose to the surface of a workspace; of a mesh, its vertices find the place.
 
-    Writes WORK/reference/registered.ply, a cloud in the world frame of the station, and registration.json, with the motion and the
-    correlation of the elevations. Returns the path of registered.ply. Raises InputError for a file that cannot be read, DataError
-    if no placement fits clearly better than all others.
+    Writes WORK/reference/registered.ply, the cloud or mesh in the world frame of the station, and registration.json, with the motion
+    and the correlation of the elevations. Returns the path of registered.ply. Raises InputError for a file that cannot be read,
+    DataError if no placement fits clearly better than all others.
     """
     workspace = Workspace(work)
-    scan = _core.read_points(str(reference))
+    scan, triangles = _core.read_cloud_or_mesh(str(reference))
     rotation, translation = workspace.pose
     points = workspace.points().reshape(-1, 3)
     points = points[np.isfinite(points).all(1)]
@@ -132,7 +132,7 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     moved = scan @ placement.rotation.T + placement.translation
     folder = workspace.folder / "reference"
     folder.mkdir(exist_ok=True)
-    write_ply(folder / "registered.ply", columns("xyz", moved, "f8"), None, "reference moved onto the surface")
+    write_ply(folder / "registered.ply", columns("xyz", moved, "f8"), triangles, "reference moved onto the surface")
     write_text(folder / "registration.json", json.dumps(figures, indent=2) + "\n")
     return folder / "registered.ply"
 

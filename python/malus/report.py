@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup, escape
 
 from malus import _core, viewer
@@ -79,6 +80,8 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
     lines += [f"  {line}" for line in confidence_lines(**quality["confidence"], assessed=True)]
     for patch in quality["patches"]:
         fits = {name: patch[name] for name in SURFACES if patch[name] is not None}
+        if not fits:  # a warning says so
+            continue
         shares = ", ".join(f"{name} {shown(fit['rmse'], unit)}" for name, fit in fits.items())
         lines.append(f"  flat patch {patch['name']}, distance from a plane (RMSE): {shares}")
     if quality["reference"]:
@@ -87,9 +90,30 @@ def summary_lines(quality: Mapping[str, Any], size: tuple[float, float] | None) 
             lines.append(f"  distance to the reference: {quality['reference']['status']}")
         else:
             rms, robust = (shown(distance[key] * quality["gsd"], unit) for key in ("rmse", "mad"))
-            lines.append(f"  distance to the reference: RMSE {rms}, robust {robust}")
+            part = f"{100 * quality['reference']['compared_fraction']:.1f} % of the surface"
+            lines.append(f"  distance to the reference, near which {part} lies: RMSE {rms}, robust {robust}")
     lines += [f"  warning: {warning}" for warning in quality["warnings"]] or ["  no warnings"]
     return lines
+
+
+def _moved_onto(workspace: Workspace) -> str:
+    """How the surface was moved onto the reference before the comparison, as the end of a sentence; "" if it was not moved."""
+    reference = workspace.quality["reference"]
+    if not reference or not reference["alignment_iterations"]:
+        return ""
+    motion, points = reference["reference_from_surface"], workspace.points()
+    middle = points[np.isfinite(points).all(-1)].mean(0)
+    rotation = np.array(motion["rotation"]).reshape(3, 3)
+    shift = float(np.linalg.norm(motion["scale"] * rotation @ middle + motion["translation"] - middle))
+    # Of small angles the cosine has too few digits; the part of a rotation that changes sign when it is transposed has the sine.
+    sine = float(np.linalg.norm(rotation - rotation.T)) / 8**0.5
+    turn = float(np.degrees(np.arctan2(sine, (np.trace(rotation) - 1) / 2)))
+    said = f", to which the surface is moved (its middle by {shown(shift, str(workspace.quality['unit']))}) and turned (by {number(turn, 2)}°)"
+    return said + (
+        f"; its size is changed by {number(100 * (motion['scale'] - 1), 2)} %"
+        if reference["alignment"] == "similarity"
+        else ""
+    )
 
 
 def _inside(value: Any, key: str) -> list[Any]:
@@ -242,6 +266,7 @@ def _write(workspace: Workspace, alone: Path | None) -> Path:
         what_to_trust=what_to_trust(quality),
         other_warnings=_other_warnings(quality),
         m3c2=m3c2,
+        moved_onto=_moved_onto(workspace),
         findings=workspace.findings,
         checks=CHECKS,
         scale=quality.get("scale"),

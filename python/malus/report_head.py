@@ -81,7 +81,7 @@ def accuracy_of(quality: Mapping[str, Any], gsd: float) -> tuple[str, str]:
     median, most = (shown(quality["sigma"][key] * gsd, quality["unit"]) for key in ("median_gsd", "p95_gsd"))
     if quality["confidence"]["level"] == "low":
         return f"at best {median}", "as computed if the inputs and the model are right, which the reasons put in doubt"
-    return median, f"one standard deviation of the depth, median; on 95 % of the object below {most}"
+    return median, f"one standard deviation of the depth, median; on 95 % of the surface below {most}"
 
 
 def covered_of(quality: Mapping[str, Any]) -> str:

@@ -532,3 +532,19 @@ def test_a_killed_scheduler_is_reported_and_loses_no_result(
     )
     assert len(set(ended)) == len(ended), "none is run twice"
     assert results(tmp_path / "out") == undisturbed[1]
+
+
+def test_plane_figures_of_the_table_are_of_the_same_patches() -> None:
+    """The prior's mean was over other patches where one of the surfaces has a hole."""
+    fits = [(0.2, 0.1), (None, 3.0), (5.0, None)]
+    patches = [
+        {"prior": prior and {"rmse_gsd": prior}, "fused": fused and {"rmse_gsd": fused}} for prior, fused in fits
+    ]
+    quality = {
+        "name": "1", "confidence": {"level": "high", "reasons": []}, "unit": "mm", "gsd": 0.1, "method": "refined", "status": "done",
+        "coverage": {"fraction": 1.0}, "reference": None, "warnings": [],
+    }  # fmt: skip
+    figures = malus.batch._figures({**quality, "patches": patches})
+    assert (figures["patch_prior_rmse_gsd"], figures["patch_fused_rmse_gsd"]) == (0.2, 0.1)
+    none = malus.batch._figures({**quality, "patches": patches[1:]})
+    assert none["patch_prior_rmse_gsd"] is None and none["patch_fused_rmse_gsd"] is None

@@ -127,6 +127,19 @@ def test_only_regions_that_chance_does_not_explain_are_reported(dates: tuple[Pat
     assert sorted((round(region.u), round(region.v)) for region in found) == [(64, 24), (100, 100)]
 
 
+def test_the_largest_distance_of_a_part_is_its_largest(dates: tuple[Path, Path]) -> None:
+    """A scratch in a dent, less than a hundredth of its area, was cut off."""
+    before = Exporter(malus.Workspace(dates[0]))
+    gsd = float(before.workspace.quality["gsd"])
+    limit = np.full(before.surface.depth.shape, gsd, np.float32)
+    distance = np.zeros_like(limit)
+    distance[80:120, 80:120] = -1.4 * gsd
+    distance[90:93, 90:93] = -3 * gsd
+    (region,) = find_regions(before, Distances(distance, limit, before.surface.depth, 2.8 * gsd))
+    assert region.extreme_um == pytest.approx(-3000 * gsd, rel=1e-5)
+    assert region.mean_um == pytest.approx(-1409 * gsd, rel=1e-2)
+
+
 def test_a_surface_compared_with_itself_shows_no_change(
     dates: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

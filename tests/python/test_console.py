@@ -176,6 +176,16 @@ def test_closing_lines_of_a_surface_that_lies_nowhere_near_its_reference(finishe
     assert "  distance to the reference: no pixel near the reference" in lines
 
 
+def test_closing_lines_say_how_much_of_the_surface_was_compared(finished_grid: Path) -> None:
+    """An RMSE of the few pixels near the reference looked like that of the whole surface; a patch beside it had an empty line."""
+    near = {"status": "done", "compared_fraction": 0.031, "distance_gsd": {"count": 9, "rmse": 0.2, "mad": 0.1}}
+    beside = {"name": "beside", "prior": None, "polarization": None, "fused": None}
+    quality = {**malus.Workspace(finished_grid).quality, "reference": near, "patches": [beside]}
+    lines = malus.report.summary_lines(quality, (24, 24.1))
+    assert any("near which 3.1 % of the surface lies: RMSE " in line for line in lines)
+    assert not any("beside" in line for line in lines)
+
+
 def test_missing_convergence_is_explained_in_plain_words(tiny_station_source: Path, tmp_path: Path) -> None:
     outcome = malus_here(
         "run", tiny_station_source / "station.toml", "-o", tmp_path / "work", "--fusion", "grid",

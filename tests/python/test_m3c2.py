@@ -96,6 +96,20 @@ def test_each_pixel_has_the_value_of_the_nearest_core_point(step: int) -> None:
         assert np.abs(off).max() <= step // 2 and abs(off.mean()) <= 1
 
 
+@pytest.mark.parametrize(("spacing", "part"), [(1, 1.0), (1, 0.3), (3, 1.0), (3, 0.5)])
+def test_the_spacing_of_a_scan_is_that_where_it_has_points(work: Path, spacing: int, part: float) -> None:
+    """The scan of a part counted as one of the whole with points far apart, that of an object with its other side as a denser one."""
+    points = malus.Workspace(work).points()
+    rows, columns = (int(part * side) for side in points.shape[:2])
+    front = points[:rows:spacing, :columns:spacing].reshape(-1, 3)
+    front = front[np.isfinite(front).all(1)]
+    rotation = malus.Workspace(work).pose[0]
+    gsd = malus.Workspace(work).quality["gsd"]
+    back = points[np.isfinite(points).all(-1)] + 60 * gsd * rotation[2]
+    found = m3c2._spacing_px(malus.Workspace(work), np.concatenate([front, back]))
+    assert found == pytest.approx(spacing, rel=0.15)
+
+
 def test_the_direction_of_positive_distances_is_aligned_as_the_points_are() -> None:
     motion = {"scale": 2.0, "rotation": [1, 0, 0, 0, 0, -1, 0, 1, 0], "translation": [1, 2, 3]}
     point, towards = np.array([[0.0, 0.0, 5.0]]), np.array([0.0, 0.0, -1.0])

@@ -12,6 +12,7 @@ import pytest
 import malus
 from conftest import QUICK_WORDS, malus_here
 from malus import registration
+from malus.object.ply import columns, write_ply
 from malus.registration import place_reference
 
 CAMERA = np.array([0.0, 0.0, 1.0])
@@ -108,6 +109,20 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
     alone = malus_here("assess", small_station, "-o", work, "--register", *QUICK_WORDS)
     assert alone.code == 2 and "--register needs a reference" in alone.err
+
+
+def test_a_registered_mesh_is_still_a_mesh(finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its vertices alone, which may lie far apart, would be compared as a cloud."""
+    work = shutil.copytree(finished_grid, tmp_path / "work")
+    mesh = malus.exports.Exporter(malus.Workspace(work)).mesh()
+    turn, shift = turned(np.eye(3), 30, (0, 0, 1)).T, np.array([300.0, -200, 100])
+    placement = registration.Placement(turn, shift, 0.99, 0.5)
+    monkeypatch.setattr(registration, "place_reference", lambda *_: placement)
+    write_ply(tmp_path / "scan.ply", columns("xyz", mesh.vertices, "f8"), mesh.triangles, "scan")
+    registered = registration.register_reference(work, tmp_path / "scan.ply")
+    points, triangles = malus._core.read_cloud_or_mesh(str(registered))
+    np.testing.assert_allclose(points, mesh.vertices @ turn.T + shift)
+    np.testing.assert_array_equal(triangles, mesh.triangles)
 
 
 def test_a_reference_that_is_nowhere_near_does_not_end_the_run(

@@ -11,6 +11,7 @@ import shutil
 import zlib
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from malus import raster as raster_module
 from malus import relief as relief_module
 from malus.columns import MINUS, aligned, decimals, number, plain
 from malus.figures import maps, profiles
-from malus.report import _worst_registration
+from malus.report import _moved_onto, _worst_registration
 from malus.report_head import accuracy_of, covered_of, finishes_of, gains_of, gains_title
 from malus.trust import what_to_trust
 from view_scale import drawn_mm, page_in_browser, pixel_mm, turning_view
@@ -246,6 +247,33 @@ def test_accuracy_is_qualified_where_confidence_is_low() -> None:
         assert accuracy_of(figures_of("partial", sigma=unknown), 0.1)[0] == "not known"
 
 
+def test_the_accuracy_is_that_of_the_surface_not_of_the_object() -> None:
+    """A part of the object without a surface has no standard deviation."""
+    assert "on 95 % of the surface below 200 µm" in accuracy_of(figures_of("high"), 0.1)[1]
+
+
+def test_the_alignment_with_the_reference_is_told_at_the_surface() -> None:
+    """Far from the origin the translation alone says nothing: half a degree about it moves the surface by kilometers."""
+    far = np.array([5e5, 5.4e6, 300])
+    angle = np.radians(0.5)
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    motion = {"scale": 1.004, "rotation": rotation.ravel().tolist()}
+    motion["translation"] = (far + (0.003, 0, 0.004) - 1.004 * rotation @ far).tolist()
+    reference = {"alignment": "similarity", "alignment_iterations": 7, "reference_from_surface": motion}
+    points = np.full((2, 2, 3), np.nan)
+    points[0] = far + np.array([[1, 2, 3], [-1, -2, -3]])
+
+    def told(**other: object) -> str:
+        quality = {"unit": "m", "reference": {**reference, **other}}
+        return _moved_onto(SimpleNamespace(quality=quality, points=lambda: points))
+
+    assert told() == (
+        ", to which the surface is moved (its middle by 5 mm) and turned (by 0.5°); its size is changed by 0.4 %"
+    )
+    assert told(alignment="rigid").endswith("turned (by 0.5°)")
+    assert told(alignment="rigid", alignment_iterations=0) == ""
+
+
 def test_a_change_is_not_called_gain_where_evidence_contradicts_it() -> None:
     rougher = {"name": "2", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.2}}
     as_before = {"name": "3", "prior": {"rmse": 0.05}, "fused": {"rmse": 0.05}}
@@ -436,6 +464,21 @@ def test_color_bars_show_where_values_lie_beyond_them(limits: tuple[float, float
     picture = drawing.add_axes((0, 0.3, 1, 0.7)).imshow(values, vmin=limits[0], vmax=limits[1])
     figures.drawing.color_bar(drawing, picture, "mm")
     assert picture.colorbar is not None and picture.colorbar.extend == ends
+
+
+@pytest.mark.parametrize("values", [(6e-6, 6e-5), (1000.01, 1000.21), (2e6, 9e6)])
+def test_axes_have_complete_numbers(values: tuple[float, float]) -> None:
+    """A color bar in meters said 2, 4 and 6: the factor of 1e-5 lay below the picture, and so did the offset of depths."""
+    drawing = figures.drawing.new_drawing(4, 3)
+    axes = drawing.add_axes((0, 0.3, 1, 0.7))
+    figures.drawing.color_bar(drawing, axes.imshow([values]), "m")
+    sections = drawing.add_axes((0.2, 0.4, 0.5, 0.5))
+    sections.plot(values, values)
+    figures.drawing.style(sections)
+    figures.drawing.drawn(drawing)
+    for axis in (drawing.axes[1].xaxis, sections.xaxis, sections.yaxis):
+        shown = [float(label.get_text().replace(MINUS, "-")) for label in axis.get_ticklabels()]
+        np.testing.assert_allclose(shown, axis.get_ticklocs(), rtol=1e-6, atol=1e-9)
 
 
 def test_reduced_rasters_average_only_valid_pixels() -> None:

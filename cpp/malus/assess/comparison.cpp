@@ -1,6 +1,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <iterator>
 #include <limits>
 
@@ -40,23 +41,39 @@ std::vector<Eigen::Vector3d> spread_points(const FusedSurface& surface) {
 constexpr int beside_gsd = 5;
 const std::string own_frame = "; if the reference has a frame of its own, `malus assess --register` finds its place";
 
+std::vector<std::optional<Foot>> feet_of(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference,
+                                         double max_distance, const Context& context) {
+  std::vector<std::optional<Foot>> feet(points.size());
+  parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(points[i], max_distance);
+  });
+  return feet;
+}
+
+/// Whether most of the reference's places face away from the camera, which cannot see them so: the triangles of its mesh
+/// are clockwise, or the normals of its cloud point inward.
+bool is_inside_out(std::span<const std::optional<Foot>> feet, const Eigen::Vector3d& camera_center) {
+  std::ptrdiff_t all = 0, away = 0;
+  for (const std::optional<Foot>& foot : feet) {
+    if (!foot || foot->is_beside) continue;
+    ++all;
+    away += foot->normal.dot(camera_center - foot->point) < 0;
+  }
+  return 2 * away > all;
+}
+
 bool is_mostly_beyond(std::span<const double> distances, double limit) {
   const auto beyond = std::ranges::count_if(distances, [&](double distance) { return std::abs(distance) > limit; });
   return 2 * beyond > std::ssize(distances);
 }
 
-/// Warns of a reference's cloud whose points do not determine planes. Where it is as thick as the reach of its planes,
-/// these turn with the points' noise towards the place from which the distance is measured. Simulated, with planes
-/// through 12 points and a noise of 0.5, 1 and 2 times the points' spacing: thickness 0.2, 0.4 and 0.5, distances 10,
-/// 40 and 70 % too small. A line scanner's points may lie so much denser along its lines that all the nearest ones lie
-/// on one: such places are not compared.
-void warn_of_planes(std::span<const Eigen::Vector3d> points, const ReferenceSurface& reference, double max_distance,
-                    const Context& context) {
+/// Warns of a reference's cloud whose points do not determine planes, by the feet of the surface's points. Where it is
+/// as thick as the reach of its planes, these turn with the points' noise towards the place from which the distance is
+/// measured. Simulated, with planes through 12 points and a noise of 0.5, 1 and 2 times the points' spacing: thickness
+/// 0.2, 0.4 and 0.5, distances 10, 40 and 70 % too small. A line scanner's points may lie so much denser along its
+/// lines that all the nearest ones lie on one: such places are not compared.
+void warn_of_planes(std::span<const std::optional<Foot>> feet, const Context& context) {
   constexpr double thick = 0.2, often = 0.25;
-  std::vector<std::optional<Foot>> feet(points.size());
-  parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) feet[i] = reference.foot(points[i], max_distance);
-  });
   std::vector<double> thickness;
   double among = 0, on_line = 0;
   for (const std::optional<Foot>& foot : feet) {
@@ -185,19 +202,20 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
                                          " steps; the distances are those of the last");
     }
   }
+  std::vector<Eigen::Vector3d> points = spread_points(surface);
+  for (Eigen::Vector3d& point : points) point = result.reference_from_surface.apply(point);
+  const std::vector<std::optional<Foot>> feet = feet_of(points, target, max_distance, context);
+  const Eigen::Vector3d camera_center = result.reference_from_surface.apply(surface.pose.center());
+  const double outward = is_inside_out(feet, camera_center) ? -1 : 1;
   result.distance = Image<float>(surface.depth.size(), 1, no_value);
   parallel_pixels(context, surface.depth.size(), [&](int u, int v) {
     if (!std::isfinite(surface.depth(u, v))) return;
     const Eigen::Vector3d in_cam = surface.camera.ray(u, v) * static_cast<double>(surface.depth(u, v));
     const Eigen::Vector3d x = result.reference_from_surface.apply(surface.pose.world_from_cam(in_cam));
     if (const auto foot = target.foot(x, max_distance); foot && !foot->is_beside)
-      result.distance(u, v) = static_cast<float>(foot->signed_distance);
+      result.distance(u, v) = static_cast<float>(outward * foot->signed_distance);
   });
-  if (reference.triangles.empty()) {
-    std::vector<Eigen::Vector3d> points = spread_points(surface);
-    for (Eigen::Vector3d& point : points) point = result.reference_from_surface.apply(point);
-    warn_of_planes(points, target, max_distance, context);
-  }
+  if (reference.triangles.empty()) warn_of_planes(feet, context);
   std::vector<double> distances_gsd;
   for (const float distance : result.distance) {
     if (std::isfinite(distance)) distances_gsd.push_back(distance / gsd);
@@ -216,7 +234,7 @@ ReferenceComparison compare_with_reference(const FusedSurface& surface, const Tr
                 "surface with it, expected at least " +
                     std::to_string(fewest_to_align) + own_frame);
   } else if (options.alignment == Alignment::none && is_mostly_beyond(distances_gsd, beside_gsd)) {
-    context.log(LogLevel::warning, "half of the surface lies farther than " + std::to_string(beside_gsd) +
+    context.log(LogLevel::warning, "half of the compared surface lies farther than " + std::to_string(beside_gsd) +
                                        " GSD from the reference" + own_frame);
   }
   result.compared_fraction = known > 0 ? static_cast<double>(distances_gsd.size()) / static_cast<double>(known) : 0;
@@ -240,15 +258,20 @@ std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> poi
   const ReferenceSurface target(reference, Eigen::Vector3d::Zero(), options.reference_neighbors, context);
   const double max_distance = options.max_distance_gsd * gsd;
   std::vector<float> distances(points.size(), no_value);
+  std::vector<std::uint8_t> is_opposed(points.size(), 0);  // the outside of the reference faces into the surface
   parallel_for(context, points.size(), 256, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto foot = target.foot(points[i], max_distance);
       if (!foot || (foot->is_beside && !with_beside)) continue;
-      // One viewpoint does not determine the outer side of a cloud.
-      const bool turned = reference.triangles.empty() && foot->normal.dot(normals[i]) < 0;
-      distances[i] = static_cast<float>(turned ? -foot->signed_distance : foot->signed_distance);
+      distances[i] = static_cast<float>(foot->signed_distance);
+      is_opposed[i] = foot->normal.dot(normals[i]) < 0;
     }
   });
+  // One viewpoint does not determine the outer side of a cloud. A mesh has one, but its triangles may all be clockwise.
+  const auto known = std::ranges::count_if(distances, [](float distance) { return std::isfinite(distance); });
+  const bool all_turned = 2 * std::ranges::count(is_opposed, 1) > known;
+  for (std::size_t i = 0; i < distances.size(); ++i)
+    if (reference.triangles.empty() ? is_opposed[i] != 0 : all_turned) distances[i] = -distances[i];
   return distances;
 }
 

@@ -61,12 +61,13 @@ struct ReferenceComparison {
                histogram_gsd)
 };
 
-/// Compares every pixel's point with a reference in the world frame: a mesh (outward = counter-clockwise), or a cloud
-/// if it has no triangles (see ReferenceSurface). With an alignment, point-to-plane ICP (Chen and Medioni 1992; Tukey
-/// weights, up to 20 000 evenly spread pixels, at most 60 steps) moves the surface first; motions that the shapes leave
-/// undetermined, such as sliding along a plane, are not made, and none with fewer than 10 of these pixels near the
-/// reference. Without an alignment nothing is moved, and only a similarity changes the scale. Pixels beside the
-/// reference, beyond its border, have no distance. Throws a data error for a reference that cannot be used.
+/// Compares every pixel's point with a reference in the world frame: a mesh, or a cloud if it has no triangles (see
+/// ReferenceSurface). Outside is the side that most of the compared places turn to the camera, also if the mesh's
+/// triangles are clockwise. With an alignment, point-to-plane ICP (Chen and Medioni 1992; Tukey weights, up to 20 000
+/// evenly spread pixels, at most 60 steps) moves the surface first; motions that the shapes leave undetermined, such as
+/// sliding along a plane, are not made, and none with fewer than 10 of these pixels near the reference. Without an
+/// alignment nothing is moved, and only a similarity changes the scale. Pixels beside the reference, beyond its border,
+/// have no distance. Throws a data error for a reference that cannot be used.
 ReferenceComparison compare_with_reference(const FusedSurface& surface, const TriangleMesh& reference, double gsd,
                                            const AssessOptions& options, const Context& context);
 
@@ -78,8 +79,8 @@ PointAlignment align_with_reference(std::span<const Eigen::Vector3d> points, con
 
 /// Signed distances of points of any surface from a reference, positive outside of it; NaN beyond
 /// options.max_distance_gsd · gsd, and beside the reference unless `with_beside`. The outside of a reference cloud is
-/// the side that `normals` (one per point) point to, so that the surface may be closed. Nothing is moved. Throws a data
-/// error for a reference that cannot be used.
+/// the side that `normals` (one per point) point to, so that the surface may be closed; that of a mesh is the side that
+/// most of them point to. Nothing is moved. Throws a data error for a reference that cannot be used.
 std::vector<float> distances_from_reference(std::span<const Eigen::Vector3d> points,
                                             std::span<const Eigen::Vector3d> normals, const TriangleMesh& reference,
                                             double gsd, const AssessOptions& options, const Context& context,

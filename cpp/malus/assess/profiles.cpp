@@ -46,6 +46,12 @@ std::vector<Eigen::Vector3d> points_at(const Image<float>& depth, const Pixels& 
 struct Chord {
   Plane plane;
   Eigen::Vector3d along;
+
+  /// Position of a point along the chord; of an unknown one that of the place where its ray meets the plane.
+  double position_of(const Eigen::Vector3d& point, const Eigen::Vector3d& ray) const {
+    const Eigen::Vector3d on_plane = ray * (plane.normal.dot(plane.centroid) / plane.normal.dot(ray));
+    return ((point.allFinite() ? point : on_plane) - plane.centroid).dot(along);
+  }
 };
 
 std::optional<Chord> chord_of(const std::vector<Eigen::Vector3d>& points) {
@@ -106,17 +112,19 @@ ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, co
   figures.name = profile.name;
   figures.from_px = profile.from;
   figures.to_px = profile.to;
-  const std::optional<Chord> chord = chord_of(points_at(fused, pixels, camera));
+  const std::vector<Eigen::Vector3d> points = points_at(fused, pixels, camera);
+  const std::optional<Chord> chord = chord_of(points);
   if (!chord) {
     figures.status = ProfileStatus::too_few_samples;
     return figures;
   }
-  for (const Eigen::Vector2d& p : pixels) {
-    const Eigen::Vector3d ray = camera.ray(p.x(), p.y());
-    const Eigen::Vector3d on_plane =
-        ray * (chord->plane.normal.dot(chord->plane.centroid) / chord->plane.normal.dot(ray));
-    figures.position_px.push_back((p - pixels.front()).norm());
-    figures.position.push_back((on_plane - chord->plane.centroid).dot(chord->along));
+  const std::vector<Eigen::Vector3d> of_prior =
+      prior.empty() ? std::vector<Eigen::Vector3d>() : points_at(prior, pixels, camera);
+  for (std::size_t k = 0; k < pixels.size(); ++k) {
+    figures.position_px.push_back((pixels[k] - pixels.front()).norm());
+    const bool only_prior = !points[k].allFinite() && !of_prior.empty();
+    figures.position.push_back(chord->position_of(only_prior ? of_prior[k] : points[k],
+                                                  camera.ray(pixels[k].x(), pixels[k].y())));
   }
   figures.prior = heights_at(prior, pixels, camera, chord->plane);
   figures.polarization = heights_at(polarization, pixels, camera, chord->plane);

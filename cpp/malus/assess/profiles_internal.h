@@ -34,10 +34,11 @@ constexpr auto names_of(ProfileStatus) {
 /// A section through the surfaces along a line of the image (Fig. 12, 13), with the meaningful part of Table 1.
 ///
 /// Heights are perpendicular to the chord plane, positive towards the camera. The chord plane passes through the first
-/// and last point of the fused surface on the line, and is turned about their chord to face the camera. Positions along
-/// the section are where the samples' rays meet that plane. Table 1's "photogrammetry RMSE" is the quadratic complement
-/// of another row, without a reference behind it. The meaningful figures, given here, are the differences between the
-/// surfaces and the roughness of each.
+/// and last point of the fused surface on the line, and is turned about their chord to face the camera. Position and
+/// height are then coordinates in the plane of the line's rays: the positions are those of the fused surface's points,
+/// where it has none of the prior's, else where the rays meet the chord plane. Table 1's "photogrammetry RMSE" is the
+/// quadratic complement of another row, without a reference behind it. The meaningful figures, given here, are the
+/// differences between the surfaces and the roughness of each.
 struct ProfileFigures {
   std::string name;
   std::array<double, 2> from_px{}, to_px{};

@@ -8,6 +8,7 @@
 #include "malus/assess/polarization_depth_internal.h"
 #include "malus/assess/quality_internal.h"
 #include "malus/core/degrees_internal.h"
+#include "malus/core/dense_systems_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
@@ -79,6 +80,31 @@ Spread detail_of(const Image<float>& detail, double gsd, const Context& context)
   return {count > 0 ? std::sqrt(squares / count) : no_value, deviation_per_median * median};
 }
 
+/// Plane over the image, value = dot(plane, (1, u, v)), that fits a depth map best in the least-squares sense.
+Eigen::Vector3d plane_over_image(const Image<float>& depth, const Context& context) {
+  const double mean = finite_mean(depth, context);
+  const auto width = static_cast<std::size_t>(depth.width());
+  const auto sums = sum_pixels<12>(depth.count(), context, [&](std::size_t i, Sums<12>& part) {
+    if (!std::isfinite(depth[i])) return;
+    const std::array<double, 4> row{1, static_cast<double>(i % width), static_cast<double>(i / width), depth[i] - mean};
+    for (std::size_t j = 0; j < 3; ++j)
+      for (std::size_t k = 0; k < 4; ++k) part[4 * j + k] += row[j] * row[k];
+  });
+  using Rows = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
+  const Rows rows = Eigen::Map<const Rows>(sums.data());
+  Eigen::Vector3d plane = solve_symmetric(rows.leftCols<3>(), rows.rightCols<1>());
+  plane[0] += mean;
+  return plane;
+}
+
+Image<float> minus_plane(const Image<float>& depth, const Eigen::Vector3d& plane, const Context& context) {
+  Image<float> relief = Image<float>::uninitialized(depth.size());
+  parallel_pixels(context, depth.size(), [&](int u, int v) {
+    relief(u, v) = static_cast<float>(depth(u, v) - plane.dot(Eigen::Vector3d(1, u, v)));
+  });
+  return relief;
+}
+
 DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& prior, double gsd,
                                  const AssessOptions& options, const Context& context) {
   const Image<float>&fused = surface.depth, &before = prior.depth;
@@ -95,8 +121,11 @@ DetailFigures compare_with_prior(const FusedSurface& surface, const DepthPrior& 
   // Only one raster of detail is in memory at a time.
   const double sigma_px = options.detail_sigma_px;
   const Spread of_change = detail_of(high_pass(std::move(change), sigma_px, context), gsd, context);
-  const Spread of_prior = detail_of(high_pass(before, sigma_px, context), gsd, context);
-  const Spread of_fused = detail_of(high_pass(fused, sigma_px, context), gsd, context);
+  // Of depths, the tilt of the object would count as detail along its contour, where the mean is one-sided.
+  const Eigen::Vector3d plane = plane_over_image(fused, context);
+  const auto relief_of = [&](const Image<float>& depth) { return minus_plane(depth, plane, context); };
+  const Spread of_prior = detail_of(high_pass(relief_of(before), sigma_px, context), gsd, context);
+  const Spread of_fused = detail_of(high_pass(relief_of(fused), sigma_px, context), gsd, context);
   const double mean = sum / count;
   DetailFigures figures;
   figures.difference_rms_gsd = std::sqrt(std::max(squares / count - mean * mean, 0.0));
@@ -160,6 +189,22 @@ HeightFigures describe_height(const HeightMap& height) {
   return figures;
 }
 
+/// Patches and profiles that have no figures would otherwise just be missing in the report.
+void warn_of_missing_sections(const Quality& quality, const Context& context) {
+  for (const PatchFigures& patch : quality.patches) {
+    if (patch.fused) continue;
+    context.log(LogLevel::warning, "[[patch]] \"" + patch.name +
+                                       "\": ten pixels of the surface or fewer lie in its box, expected more: it has no "
+                                       "figures");
+  }
+  for (const ProfileFigures& profile : quality.profiles) {
+    if (profile.status == ProfileStatus::done) continue;
+    context.log(LogLevel::warning, "[[profile]] \"" + profile.name +
+                                       "\": its line hardly meets the surface, expected one across it: it has no "
+                                       "section");
+  }
+}
+
 }  // namespace
 
 double ground_sampling_distance(const Image<float>& depth, const Pinhole& camera, const Context& context) {
@@ -218,6 +263,7 @@ Quality assess(const AssessInput& input, const AssessOptions& options, const Con
     quality.profiles.push_back(
         section(profile, prior, polarization, surface.depth, surface.camera, quality.gsd, options, context));
   }
+  warn_of_missing_sections(quality, context);
   quality.confidence = assessed_confidence(input, context);
   if (input.reference != nullptr) {
     context.progress("assess", 0.6, "comparing with the reference");

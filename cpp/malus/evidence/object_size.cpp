@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -34,16 +33,37 @@ std::string in_words(double meters) {
   return with_digits(meters * scale, 3) + " " + name;
 }
 
-double range_of(std::vector<double> values) {
-  const std::size_t last = values.size() - 1;
-  std::ranges::sort(values);
-  return values[last - last / 100] - values[last / 100];
+/// Number of points whose median depth is that of a place.
+constexpr std::size_t points_of_place = 9;
+
+using SeenAlongAxis = std::vector<std::pair<double, double>>;  // slope of the ray, depth
+
+/// Where the first of these points lies across the view. Its direction is no outlier, because all points are on the
+/// object in the image, but its depth may be one, at a contour: it is the median of the points near it.
+double place_of_first(const SeenAlongAxis& seen) {
+  constexpr double near = 0.005;  // share of the object
+  const double reach = near * std::abs(seen.back().first - seen.front().first);
+  std::vector<double> depths;
+  for (const auto& [slope, depth] : seen) {
+    if (depths.size() >= points_of_place && std::abs(slope - seen.front().first) > reach) break;
+    depths.push_back(depth);
+  }
+  return seen.front().first * median_in_place(depths);
+}
+
+/// Extent across the view along an axis, 0 = x, 1 = y.
+double extent_across(const std::vector<Eigen::Vector3d>& points_in_cam, int axis) {
+  SeenAlongAxis seen;
+  for (const Eigen::Vector3d& point : points_in_cam) seen.emplace_back(point[axis] / point.z(), point.z());
+  std::ranges::sort(seen, {}, &SeenAlongAxis::value_type::first);
+  const double low = place_of_first(seen);
+  std::ranges::reverse(seen);
+  return place_of_first(seen) - low;
 }
 
 /// Depth in the middle of the image; quality.json states the ground sampling distance for the same place. NaN if no
 /// point is there.
 double middle_depth(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera) {
-  constexpr std::size_t few = 9;
   constexpr double near = 0.01;  // share of the image's larger side
   const Eigen::Vector2d middle(0.5 * camera.size.width, 0.5 * camera.size.height);
   const double reach = near * std::max(camera.size.width, camera.size.height);
@@ -54,7 +74,7 @@ double middle_depth(const std::vector<Eigen::Vector3d>& points_in_cam, const Pin
   }
   std::ranges::sort(found);
   std::vector<double> depths;
-  for (std::size_t i = 0; i < std::min(few, found.size()); ++i) depths.push_back(found[i].second);
+  for (std::size_t i = 0; i < std::min(points_of_place, found.size()); ++i) depths.push_back(found[i].second);
   return depths.empty() ? std::numeric_limits<double>::quiet_NaN() : median_in_place(depths);
 }
 
@@ -95,13 +115,12 @@ std::optional<std::string> likelier_unit(double width, double distance, const st
 ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera,
                        const std::string& unit) {
   if (points_in_cam.empty()) throw input_error("no point of the prior lies on the object, expected at least one");
-  std::array<std::vector<double>, 3> coordinates;
-  for (const Eigen::Vector3d& point : points_in_cam)
-    for (int axis = 0; axis < 3; ++axis) coordinates[static_cast<std::size_t>(axis)].push_back(point[axis]);
+  std::vector<double> depths;
+  for (const Eigen::Vector3d& point : points_in_cam) depths.push_back(point.z());
   ObjectSize size;
-  size.width = range_of(coordinates[0]);
-  size.height = range_of(coordinates[1]);
-  size.distance = median_in_place(coordinates[2]);
+  size.width = extent_across(points_in_cam, 0);
+  size.height = extent_across(points_in_cam, 1);
+  size.distance = median_in_place(depths);
   const double in_the_middle = middle_depth(points_in_cam, camera);
   size.gsd = (std::isnan(in_the_middle) ? size.distance : in_the_middle) / camera.focal();
 

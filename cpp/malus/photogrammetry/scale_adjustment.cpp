@@ -133,7 +133,7 @@ DistanceFit fit_of(const KnownDistance& distance, const Ends& ends, std::span<co
       }
     }
   }
-  fit.rms_px = std::sqrt(squares / (2 * count));
+  fit.rms_px = std::sqrt(squares / count);
   return fit;
 }
 

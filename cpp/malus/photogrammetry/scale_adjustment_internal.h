@@ -45,8 +45,8 @@ struct DistanceFit {
   double adjusted = 0;  ///< as measured in the scaled model
   double residual = 0;  ///< adjusted − given
   double sigma = 0;  ///< expected standard deviation of a held-out distance's residual, from marks, distances and scale
-  double rms_px = 0;        ///< of its marks' residuals
-  double worst_px = 0;      ///< largest distance of a mark from its point's image
+  double rms_px = 0;        ///< of the distances of its marks from their point's image
+  double worst_px = 0;      ///< the largest of these distances
   std::string worst_image;  ///< photo of that mark
 
   MALUS_FIELDS(name, check, distance, adjusted, residual, sigma, rms_px, worst_px, worst_image)

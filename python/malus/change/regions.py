@@ -17,7 +17,7 @@ from malus.units import METERS
 class Region:
     """One changed part. u, v: its center in the earlier image, pixels; x, y, z: its center in the earlier world frame, station unit.
 
-    mean_um, extreme_um: distance, positive = material in front of the earlier surface. volume_mm3: of the material that was added
+    mean_um, extreme_um: mean and largest distance, positive = material in front of the earlier surface. volume_mm3: of the material that was added
     (positive) or lost (negative).
     """
 
@@ -65,7 +65,7 @@ def find_regions(before: Exporter, distances: Distances) -> list[Region]:
             found.append(
                 Region(
                     0, float(u), float(v), x, y, z, float(areas.sum()), float(np.average(values, weights=areas)),
-                    float(sign * np.percentile(sign * values, 99)), float((values * areas).sum() / 1000),
+                    float(sign * (sign * values).max()), float((values * areas).sum() / 1000),
                 )
             )  # fmt: skip
     found.sort(key=lambda region: -abs(region.volume_mm3))

@@ -81,6 +81,14 @@ def _beyond(colored: Any) -> Literal["neither", "min", "max", "both"]:
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
+def _complete_numbers(axis: Any) -> None:
+    """Label an axis with complete numbers, such as 0.00002 or 1000.05: matplotlib would write a common factor or offset beside them,
+    where it is cut off.
+    """
+    axis.get_major_formatter().set_useOffset(False)
+    axis.get_major_formatter().set_scientific(False)
+
+
 def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, str] | None = None) -> None:
     """Add the color bar of a picture or of points below it, with the unit; an arrow at its end stands for values beyond its limits."""
     height = BAR_IN / drawing.get_figheight()
@@ -93,6 +101,7 @@ def color_bar(drawing: Drawing, colored: Any, label: str, ticks: Mapping[float, 
     else:
         bar.locator = few_ticks(4)
         bar.update_ticks()
+        _complete_numbers(axes.xaxis)
     if label:
         drawing.text(0.82, height * 0.72, label, fontsize=LETTERS_PT, va="center")
 
@@ -103,6 +112,8 @@ def style(axes: Any) -> None:
         axes.spines[side].set_visible(False)
     axes.tick_params(labelsize=LETTERS_PT, color="#8a8f96")
     axes.grid(color="#e3e6ea", lw=0.6)
+    _complete_numbers(axes.xaxis)
+    _complete_numbers(axes.yaxis)
     axes.set_axisbelow(True)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malus.columns import number as readable
-from malus.columns import printed
 from malus.figures.drawing import LETTERS_PT, WIDTH_IN, few_ticks, names_in_picture, new_drawing, style, tag
 from malus.figures.figure import Figure
 from malus.figures.plates import COLORS, Plates
@@ -40,6 +39,8 @@ def profiles(plates: Plates) -> Iterator[Figure]:
     sigma_px = float(plates.workspace.manifest["options"]["assess"]["detail_sigma_px"])
     to_micrometers = 1e6 * METERS[plates.unit]
     for number, profile in enumerate(plates.quality["profiles"], 1):
+        if not profile["position"]:  # The line lies beside the surface; a warning says so.
+            continue
         drawing = new_drawing(WIDTH_IN, 6.2, "constrained")
         above, below = drawing.subplots(2, 1, sharex=True, height_ratios=(5, 4))
         along = numbers(profile["position"])
@@ -99,7 +100,7 @@ def _cut_spikes(
             axes.plot(along[tips], [limit] * len(tips), marker, color=COLORS[name], ms=7, clip_on=False, zorder=6)
         if known.min() < limits[0] or known.max() > limits[1]:
             said.append(
-                f"{plates.words[name]} reaches from {printed(f'{known.min():.0f}')} to {printed(f'{known.max():.0f}')} µm"
+                f"{plates.words[name]} reaches from {readable(float(known.min()), 2)} to {readable(float(known.max()), 2)} µm"
             )
     return said
 

@@ -92,7 +92,8 @@ def object_summary(quality: Mapping[str, Any]) -> list[str]:
     scan = quality["reference"]
     if scan is not None and scan["status"] == "done":
         lines.append(
-            f"  off the reference: median {scan['absolute_median_gsd']:.3g} GSD, {100 * scan['within_1_gsd']:.0f} % within 1 GSD; "
+            f"  off the reference, near which {100 * scan['compared_fraction']:.1f} % of what was measured lies: median "
+            f"{scan['absolute_median_gsd']:.3g} GSD, {100 * scan['within_1_gsd']:.0f} % within 1 GSD; "
             f"{100 * scan['completeness']['1_gsd']:.0f} % of it is there"
         )
     return lines + [f"  warning: {warning}" for warning in quality["warnings"]]

@@ -17,6 +17,7 @@ from malus import _core, scans
 from malus._files import resolved, with_relative_paths
 from malus._toml import read_toml
 from malus.camera import Camera
+from malus.columns import number
 from malus.errors import InputError
 from malus.object.views import Floats
 from malus.photogrammetry.diagnosis import listed
@@ -62,7 +63,7 @@ def doubts_of_frames(stations: Described, folder: Path) -> dict[str, list[str]]:
         elif moved is not None:
             said = (
                 f"{models[later].folder} and {models[earlier].folder}, the model of {earlier}, are in different frames: of {moved.photos} "
-                f"photos of the same names {moved.photo} is turned by {moved.degrees:.3g}° and moved by {moved.distance:.3g} "
+                f"photos of the same names {moved.photo} is turned by {moved.degrees:.3g}° and moved by {number(moved.distance)} "
                 f"{stations[later]['unit']} from one to the other; expected poses and priors from one model of all photos"
             )
             doubts[later].append(with_relative_paths(said, folder))

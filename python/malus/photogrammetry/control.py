@@ -12,6 +12,7 @@ import numpy as np
 from malus import _core
 from malus._files import scratch_folder
 from malus.camera import Camera
+from malus.columns import number
 from malus.errors import InputError
 from malus.photogrammetry.diagnosis import Log
 
@@ -88,7 +89,7 @@ def _warn(datum: Mapping[str, Any], known: Sequence[Any], log: Log) -> None:
         worst = max(datum["points"], key=lambda fit: 0.0 if fit["check"] else float(np.linalg.norm(fit["offset"])))
         log(
             "warning",
-            f"[[control]]: coordinates and marks differ by {datum['sigma']:.3g} over {extent:.3g}; the worst is {worst['name']}",
+            f"[[control]]: coordinates and marks differ by {number(datum['sigma'])} over {number(extent)}; the worst is {worst['name']}",
         )
     if datum["doubtful"] is not None:
         log(

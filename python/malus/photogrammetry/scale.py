@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus.camera import Camera
+from malus.columns import number
 from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry.diagnosis import NO_SIZE, Log, listed
@@ -166,6 +167,6 @@ def _warn(result: Mapping[str, Any], log: Log) -> None:
         if abs(fit["residual"]) > _SUSPICIOUS * fit["sigma"]:
             log(
                 "warning",
-                f"{fit['name']}: {fit['adjusted']:.6g} in the model, {fit['distance']:.6g} given, "
+                f"{fit['name']}: {number(fit['adjusted'], 6)} in the model, {number(fit['distance'], 6)} given, "
                 f"{abs(fit['residual']) / fit['sigma']:.1f} standard deviations apart",
             )

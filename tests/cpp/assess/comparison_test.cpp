@@ -123,6 +123,31 @@ TEST(Comparison, PointsWithoutNormalsFaceTheCamera) {
   EXPECT_GT(result.distance_gsd.p05, 1) << "the surface is in front of the reference";
 }
 
+TEST(Comparison, TheOutsideOfAReferenceTurnedInsideOutFacesTheCamera) {
+  TriangleMesh clockwise = mesh_of(wavy(0));
+  for (auto& triangle : clockwise.triangles) std::swap(triangle[1], triangle[2]);
+  TriangleMesh cloud = mesh_of(wavy(0));
+  cloud.triangles.clear();
+  for (Eigen::Vector3f& normal : cloud.vertices.normals) normal = -normal;
+  for (const TriangleMesh& reference : {clockwise, cloud}) {
+    const ReferenceComparison result = compare_with_reference(wavy(gsd), reference, gsd, {}, {});
+    EXPECT_NEAR(result.distance_gsd.median, 0.93, 0.1) << "the surface is in front of the reference";
+  }
+}
+
+TEST(Comparison, TheOutsideOfAClosedMeshOfClockwiseTrianglesIsThatOfTheSurface) {
+  TriangleMesh clockwise = cube();
+  for (auto& triangle : clockwise.triangles) std::swap(triangle[1], triangle[2]);
+  const std::vector<Eigen::Vector3d> outside{{0, 0, 0.6}, {0, -0.7, 0}, {0.4, 0, 0}}, directions{
+      {0, 0, 1}, {0, -1, 0}, {1, 0, 0}};
+  for (const TriangleMesh& reference : {cube(), clockwise}) {
+    const std::vector<float> found = distances_from_reference(outside, directions, reference, 1, {}, {});
+    EXPECT_NEAR(found[0], 0.1, 1e-6);
+    EXPECT_NEAR(found[1], 0.2, 1e-6);
+    EXPECT_NEAR(found[2], -0.1, 1e-6);
+  }
+}
+
 TEST(Comparison, SignedDistancesAreRightAllAroundAClosedCloud) {
   PointCloud ball;
   std::vector<Eigen::Vector3d> outside, directions;

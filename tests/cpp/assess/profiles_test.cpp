@@ -39,6 +39,9 @@ TEST(Profiles, HeightIsPerpendicularToTheChordAndTowardsTheCamera) {
   };
   EXPECT_NEAR(p.position.back(), (point(140) - point(20)).norm(), 1e-3);
   EXPECT_NEAR(p.position[37], (point(57) - point(20)).norm(), 1e-3);
+  const Eigen::Vector3d raised = profile_camera.ray(80, 60) * static_cast<double>(bumped_plane(2)(80, 60));
+  EXPECT_NEAR(p.position[60], (raised - point(20)).dot((point(140) - point(20)).normalized()), 1e-3)
+      << "a section is true to scale: the place is that of the raised point, not of its ray on the chord";
   EXPECT_NEAR(p.fused_minus_prior.rms_gsd, 4 * std::sqrt(39.0 / 121), 1e-3);
   EXPECT_NEAR(p.fused_minus_prior.mean_gsd, 4 * 39.0 / 121, 1e-3);
   EXPECT_GT(p.roughness_fused_gsd, 0.3);

@@ -85,6 +85,33 @@ TEST(Quality, FiguresOfAKnownCase) {
   EXPECT_FALSE(q.reference);
 }
 
+TEST(Quality, TheTiltOfAnObjectIsNoDetail) {
+  Case c;
+  const auto tilt = [](int u, int v) { return static_cast<float>(0.3 * u - 0.2 * v); };
+  for (int v = 0; v < 150; ++v) {
+    for (int u = 0; u < 200; ++u) c.surface.depth(u, v) += tilt(u, v), c.prior.depth(u, v) += tilt(u, v);
+  }
+  const Quality q = assess(c.input, {}, {});
+  EXPECT_LT(q.prior_vs_fused->prior_detail_rms_gsd, 1e-3);
+  EXPECT_LT(q.prior_vs_fused->prior_detail_mad_gsd, 1e-3);
+  EXPECT_NEAR(q.prior_vs_fused->fused_detail_rms_gsd, 0.2 / q.gsd, 2e-3);
+}
+
+TEST(Quality, APatchAndAProfileBesideTheSurfaceAreToldOf) {
+  Case c;
+  std::vector<std::string> said;
+  Context context;
+  context.on_log = [&](LogLevel, const std::string& message) { said.push_back(message); };
+  assess(c.input, {}, context);
+  EXPECT_TRUE(said.empty());
+  c.input.patches.push_back({"beside", {2, 50, 15, 89}});
+  c.input.profiles.push_back({"2", {2, 70}, {15, 70}});
+  EXPECT_FALSE(assess(c.input, {}, context).patches.back().fused);
+  ASSERT_EQ(said.size(), 2u);
+  EXPECT_NE(said[0].find("[[patch]] \"beside\": ten pixels"), std::string::npos) << said[0];
+  EXPECT_NE(said[1].find("[[profile]] \"2\": its line"), std::string::npos) << said[1];
+}
+
 TEST(Quality, FiguresCanOnlyLowerTheSurfacesConfidence) {
   Case c;
   c.prior.sigma.fill(2.0f);

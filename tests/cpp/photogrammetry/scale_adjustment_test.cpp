@@ -67,6 +67,22 @@ TEST(AdjustScale, ExactMarksGiveTheExactScale) {
   for (const DistanceFit& fit : result.distances) EXPECT_NEAR(fit.residual, 0, 1e-7);
 }
 
+TEST(AdjustScale, TheRmsOfMarksIsThatOfTheirDistances) {
+  std::mt19937 random(1);
+  const auto views = photos_around_origin(2, 170, 25);
+  auto distances = distances_of(views, 1e-9, random);
+  for (KnownDistance& known : distances) {
+    for (std::vector<PointMark>* marks : {&known.a, &known.b}) {
+      for (PointMark& mark : *marks) mark.sigma_px = 0.2;
+      marks->front().pixel.x() += 1;  // across the epipolar line: both photos' marks are then equally far off
+    }
+  }
+  for (const DistanceFit& fit : adjust_scale(views, distances, {}).distances) {
+    EXPECT_GT(fit.worst_px, 0.4);
+    EXPECT_NEAR(fit.rms_px, fit.worst_px, 0.05 * fit.worst_px);
+  }
+}
+
 TEST(AdjustScale, ErrorsAreWithinTheirSigma) {
   const auto views = photos_around_origin(4, 170, 25);
   double squares = 0, check_squares = 0, weights = 0;
