@@ -56,9 +56,9 @@ class Camera:
         )
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation (3×3) and translation (3) as float64, checked."""
-        rotation = np.asarray(as_numbers(self.rotation, "rotation"), dtype=np.float64)
-        translation = np.asarray(as_numbers(self.translation, "translation"), dtype=np.float64)
+        """Copies of rotation (3×3) and translation (3) as float64, checked: to change them does not move the camera."""
+        rotation = np.array(as_numbers(self.rotation, "rotation"), dtype=np.float64)
+        translation = np.array(as_numbers(self.translation, "translation"), dtype=np.float64)
         if rotation.shape != (3, 3):
             raise ValueError(f"rotation has shape {rotation.shape}, expected (3, 3)")
         if translation.shape != (3,):

@@ -58,6 +58,16 @@ def test_rasters_cannot_be_changed(result: malus.Result) -> None:
         result.depth[0, 0] = 1
 
 
+def test_a_changed_pose_moves_no_camera(result: malus.Result) -> None:
+    """A translation that was scaled to meters in place moved the result's camera, and every point computed with it later."""
+    assert result.camera is not None and result.pose is not None
+    before = result.camera.description()
+    for rotation, translation in (result.pose, result.camera.pose(), result.camera.values()[-2:]):
+        rotation *= -1
+        translation += 7
+    assert result.camera.description() == before
+
+
 def test_save_writes_what_is_in_memory(result: malus.Result, tmp_path: Path) -> None:
     result.save(tmp_path)
     workspace = malus.Workspace(tmp_path)
