@@ -28,7 +28,7 @@ class Camera:
     model: str
     width: int
     height: int
-    params: Sequence[float]
+    params: Sequence[float] | NDArray[Any]
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
     translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
 
@@ -124,3 +124,9 @@ def as_view(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]
     if raster.shape != (camera.height, camera.width):
         raise ValueError(f"{name} has shape {raster.shape}, expected {(camera.height, camera.width)} as its camera")
     return raster
+
+
+def require_view(camera: Camera | None, shape: tuple[int, ...], of: str) -> None:
+    """ValueError for the camera of images of another size than `shape`, that of the raster or state `of`: its rays are others."""
+    if camera is not None and (camera.height, camera.width) != shape:
+        raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as {of}")
