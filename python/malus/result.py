@@ -17,6 +17,7 @@ from malus.camera import Camera
 from malus.errors import InputError
 from malus.lengths import shown
 
+from malus.workspace import Workspace
 #: Long side of the pictures in a notebook, in pixels.
 _PICTURE_PX = 480
 
@@ -62,6 +63,7 @@ class Result:
 
     @property
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    _fused_key: str | None = field(default=None)
         """Rotation (3×3) and translation (3) that take world points into the camera frame."""
         return None if self.camera is None else self.camera.pose()
 
@@ -76,12 +78,20 @@ class Result:
 
     @contextmanager
     def in_workspace(self) -> Iterator[Path]:
-        """The workspace of the run; for a result in memory, a temporary workspace that exists until the context ends."""
+        """The workspace of the run; for a result in memory, a temporary workspace that exists until the context ends.
+
+        Raises InputError if another run has meanwhile written another surface there.
+        """
         if self.workspace is not None:
             yield self.workspace
             return
         with tempfile.TemporaryDirectory(prefix="malus-") as folder:
             self.save(folder)
+            if self._fused_key not in (None, Workspace(self.workspace).fused_key):
+                raise InputError(
+                    f"{self.workspace}: a later run has replaced the surface of this result by another one; expected the result "
+                    "of that run, or a workspace for each result"
+                )
             yield Path(folder)
 
     def show(self) -> Path:
@@ -89,7 +99,7 @@ class Result:
         from malus.report import open_page, write_report
 
         if self.workspace is not None:
-            return open_page(write_report(self.workspace))
+            return open_page(write_report(self))
         return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / "report.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:

@@ -218,6 +218,12 @@ class Workspace:
         return notes
 
     @cached_property
+    @property
+    def fused_key(self) -> str | None:
+        """What the fused surface was made from and how, as a checksum; None if there is none."""
+        key: str | None = self.manifest["steps"].get("fuse", {}).get("key")
+        return key
+
     def camera(self) -> Camera:
         """Camera of all rasters, memory pixel convention, and its pose."""
         camera, pose = self._fused_notes["camera"], self._fused_notes["pose"]
