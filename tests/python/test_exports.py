@@ -852,6 +852,20 @@ def test_exports_of_an_earlier_surface_are_reported(
     for name, output in (("stl", None), ("obj", None), ("contours", None), ("ply", tmp_path / "a.ply"), ("glb", named)):
         malus.export(work, name, output)
     (work / "export/contours.svg").unlink()
+def test_names_that_are_not_utf_8_are_refused(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """From Python the extension refused them as "incompatible function arguments", which is no error of Malus."""
+    name = os.fsdecode(b"stone\xff")
+    dem = malus.surface.Dem(np.zeros((2, 2), np.float32), 1.0, np.zeros(3), *np.eye(3))
+    for call in (
+        lambda: malus.export(workspace.folder, "ply", tmp_path / f"{name}.ply"),
+        lambda: malus.surface.write_dem(tmp_path / f"{name}.tif", dem, unit="mm", name="stone"),
+        lambda: malus.Workspace(tmp_path / name).quality,
+    ):
+        with pytest.raises(malus.InputError, match="this name is not in UTF-8"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
     run = ("assess", small_station_source / "station.toml", "-o", work, "--fusion", "grid", "--quiet")
     kept = malus_here(*run)
     assert kept.code == 0 and "export" not in kept.err
@@ -867,6 +881,7 @@ def test_exports_of_an_earlier_surface_are_reported(
     assert "surface.stl is of an earlier" in again and "surface.obj" not in again
     # A record that a full disk or another program spoiled must not end runs.
     for spoiled in (b"", b"[1", b"[1]", b'{"a": 1}'):
+        (["--format", "stl", "--interval", "0"], "--interval is for contours"),
         (work / "export/made_from.json").write_bytes(spoiled)
         assert _core.overtaken_exports(str(work)) == [], spoiled
 
