@@ -684,6 +684,21 @@ def test_a_profile_beside_the_surface_has_no_section(
 
 
 def test_colmap_can_continue_with_the_surface(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
+@pytest.mark.parametrize("interval", [0.5, None])
+def test_contours_go_up_to_the_top(interval: float | None) -> None:
+    """A boss on less than a thousandth of the surface had none: the lines ended at the height of what is around it."""
+    elevation = np.tile(np.linspace(0, 1, 100, dtype=np.float32), (100, 1))
+    elevation[50:53, 50:53] = 3.2
+    dem = malus.surface.Dem(elevation, 0.1, np.zeros(3), *np.eye(3))
+    heights = [float(layer.name) for layer in drawings.contours(dem, interval) if layer.lines]
+    assert max(heights) > 2.9 and min(heights) < 0.6
+    with pytest.raises(malus.InputError, match="inf, expected a positive length"):
+        drawings.contours(dem, float("inf"))
+    # A point that is wrong by far neither makes a thousand lines nor takes those of the relief.
+    elevation[80, 80] = 1e5
+    assert 8 < sum(len(layer.lines) > 0 for layer in drawings.contours(dem)) < 26
+
+
     program = shutil.which("colmap")
     if program is None:
         pytest.skip("COLMAP is not installed (apt install colmap)")
