@@ -457,6 +457,24 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
 
 
 def of_the_surface(workspace: malus.Workspace) -> list[str]:
+def test_rims_have_the_color_of_the_object(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """In orthophotos, and at vertices of simplified meshes, they were mixed with the black of the pixels beside the object."""
+    from PIL import Image
+
+    exporter = exports.Exporter(workspace)
+    surface = exporter.surface
+    v, u = np.indices(surface.depth.shape)
+    outside = np.hypot(u - 100, v - 80) > 60
+    depth = np.where(outside, np.float32(np.nan), surface.depth)
+    exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, surface.sigma, surface.camera)
+    exporter.__dict__["color"] = np.where(outside, np.float32(np.nan), np.float32(0.4))
+    assert set(np.unique(exporter.picture())) == {0, 255}
+    exports.FORMATS["orthophoto"][0](exporter, tmp_path / "a.png")
+    picture = np.asarray(Image.open(tmp_path / "a.png"))
+    shown = picture[..., 3] > 0
+    assert shown.sum() > 5000 and (picture[shown, :3] == 255).all()
+
+
     """The lines about the surface that every exported file must contain."""
     confidence = workspace.quality["confidence"]
     return [
