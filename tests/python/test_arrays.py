@@ -256,6 +256,17 @@ def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarr
             r"depth has shape \(40, 49\), expected \(40, 50\)",
         ),
         (
+            lambda m, camera: m.prior.DepthPrior(np.ma.masked_equal(np.eye(40, 50), 0), np.ones((40, 50)), camera),
+            "depth has masked values",
+        ),
+        (
+            lambda m, camera: m.fusion.FusedSurface(
+                np.ones((40, 50)), np.ones((40, 50, 3)), np.ma.masked_equal(np.eye(40, 50), 0), camera
+            ),
+            "sigma has masked values",
+        ),
+        (lambda m, camera: m.prior.DepthPrior([["x"] * 50] * 40, np.ones((40, 50)), camera), "depth has type"),
+        (
             lambda m, camera: m.surface.write_dem(
                 "dem.tif",
                 m.surface.Dem(np.ma.masked_equal(np.eye(4), 0), 1.0, np.zeros(3), *np.eye(3)),
@@ -291,6 +302,34 @@ def test_wrong_arguments_are_named(call: Callable[..., object], said: str) -> No
     camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
     with pytest.raises(ValueError, match=said):
         call(malus, camera)
+
+
+def test_rasters_of_steps_cannot_be_changed(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Each access made a copy: what was written into it was lost without a message, such as `prior.depth[hole] = nan`."""
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    state = malus.polarization.decompose(polarized(*maps), ANGLES)
+    reflection = malus.polarization.map_reflection(state)
+    given = np.ones((40, 50), np.float32)
+    prior = malus.prior.DepthPrior(given, given, camera)
+    surface = malus.fusion.FusedSurface(given, np.ones((40, 50, 3), np.float32), given, camera)
+    height = malus.height.solve(state, reflection, light=[0, 0, -1, 0.1])
+    for owner, names in (
+        (prior, "depth sigma"),
+        (surface, "depth normals sigma"),
+        (reflection, "label zenith_rad"),
+        (height, "height"),
+        (state, "unpolarized degree phase_rad residual valid"),
+    ):
+        for name in names.split():
+            raster = getattr(owner, name)
+            assert raster.shape == ((40, 50, 3) if name == "normals" else (40, 50))
+            with pytest.raises(ValueError, match="read-only"):
+                raster[0, 0] = 0
+            assert np.shares_memory(raster, getattr(owner, name)), name
+    given[:] = 2
+    depth = prior.depth
+    del prior
+    assert (depth == 1).all(), "the arrays that were given are copied, and a raster outlives its owner's name"
 
 
 def test_cameras_of_other_images_are_refused(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
