@@ -28,18 +28,6 @@ Image<T> to_image(const Array<T>& array) {
   return image;
 }
 
-/// Throws a value error that names an array and both shapes unless it is H×W or H×W×channels of this size.
-template <class T>
-void require_shape(const Image<T>& image, Size size, int channels, const std::string& name) {
-  if (image.size() == size && image.channels() == channels) return;
-  const auto shape = [](Size of, int count) {
-    return "(" + std::to_string(of.height) + ", " + std::to_string(of.width) +
-           (count == 1 ? "" : ", " + std::to_string(count)) + ")";
-  };
-  throw py::value_error(name + " has shape " + shape(image.size(), image.channels()) + ", expected " +
-                        shape(size, channels));
-}
-
 /// A numpy array, H×W or H×W×C, that shares the image's memory; None for an empty image. The array keeps the image
 /// alive, and is read-only if the image has other owners.
 template <class T>
@@ -62,14 +50,23 @@ py::object to_array(Image<T>&& image) {
   return to_array<T>(std::make_shared<const Image<T>>(std::move(image)));
 }
 
-/// A read-only numpy array that shares the image's memory. The array keeps `owner`, the Python object that holds the
-/// image, alive.
+/// A read-only numpy array, H×W or H×W×C, that shares the image's memory; None for an empty image. The array keeps
+/// `owner`, the Python object that holds the image, alive.
 template <class T>
 py::object view_of(const Image<T>& image, const py::object& owner) {
-  py::array_t<T> view({static_cast<py::ssize_t>(image.height()), static_cast<py::ssize_t>(image.width())}, image.data(),
-                      owner);
+  if (image.empty()) return py::none();
+  std::vector<py::ssize_t> shape{image.height(), image.width()};
+  if (image.channels() > 1) shape.push_back(image.channels());
+  py::array_t<T> view(shape, image.data(), owner);
   view.attr("setflags")(py::arg("write") = false);
   return view;
+}
+
+/// Getter of a raster of an object, which shares the object's memory. A copy for each access would silently drop what
+/// is written into it.
+template <class Owner, class T>
+auto raster(Image<T> Owner::*member) {
+  return [member](const py::object& self) { return view_of(self.cast<const Owner&>().*member, self); };
 }
 
 }  // namespace malus::python
@@ -97,3 +94,20 @@ struct type_caster<malus::Image<T>> {
 };
 
 }  // namespace pybind11::detail
+
+namespace malus::python {
+
+/// A raster that a caller gives to a class of this extension, H×W or H×W×channels. Throws a value error that names it
+/// for masked values, which are no data but would be read, for what is no number, and for another shape.
+inline Image<float> given_raster(const py::object& values, Size size, int channels, const std::string& name) {
+  const py::object numbers = py::module_::import("malus._arrays").attr("as_numbers")(values, name);
+  py::tuple shape = py::make_tuple(size.height, size.width);
+  if (channels > 1) shape = py::make_tuple(size.height, size.width, channels);
+  if (const py::object given = numbers.attr("shape"); !given.equal(shape)) {
+    throw py::value_error(name + " has shape " + std::string(py::str(given)) + ", expected " +
+                          std::string(py::str(shape)));
+  }
+  return numbers.cast<Image<float>>();
+}
+
+}  // namespace malus::python

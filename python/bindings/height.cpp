@@ -27,7 +27,7 @@ py::dict light_to_dict(const LightEstimate& light) {
 
 void bind_height(py::module_& module) {
   py::class_<HeightMap>(module, "HeightMap")
-      .def_readonly("height", &HeightMap::height)
+      .def_property_readonly("height", raster(&HeightMap::height))
       .def_readonly("perspective", &HeightMap::perspective)
       .def_readonly("light", &HeightMap::light)
       .def_property_readonly("status", [](const HeightMap& map) { return enum_name(map.status); })

@@ -89,12 +89,6 @@ std::pair<PolarizationState, py::object> calibrated_with_surface(
   return {std::move(corrected), by_fields(found)};
 }
 
-/// Getter of a raster of a state. The array shares the state's memory.
-template <class T>
-auto raster(Image<T> PolarizationState::*member) {
-  return [member](const py::object& self) { return view_of(self.cast<const PolarizationState&>().*member, self); };
-}
-
 }  // namespace
 
 void bind_polarization(py::module_& module) {
@@ -148,8 +142,8 @@ void bind_polarization(py::module_& module) {
   module.def("calibrate_with_surface", &calibrated_with_surface);
 
   py::class_<ReflectionMap>(module, "ReflectionMap")
-      .def_readonly("label", &ReflectionMap::label)
-      .def_readonly("zenith_rad", &ReflectionMap::zenith)
+      .def_property_readonly("label", raster(&ReflectionMap::label))
+      .def_property_readonly("zenith_rad", raster(&ReflectionMap::zenith))
       .def_readonly("specular_share", &ReflectionMap::specular_share)
       .def_readonly("clamped_share", &ReflectionMap::clamped_share);
   module.def("map_reflection",

@@ -26,18 +26,16 @@ DepthPrior project(const Source& source, const RasterView& view, const Mask& mas
 
 void bind_prior(py::module_& module) {
   py::class_<DepthPrior>(module, "DepthPrior")
-      .def(py::init([](Image<float>& depth, Image<float>& sigma, const RasterView& view) {
-        require_shape(depth, view.camera.size, 1, "depth");
-        require_shape(sigma, view.camera.size, 1, "sigma");
+      .def(py::init([](const py::object& depth, const py::object& sigma, const RasterView& view) {
         DepthPrior prior;
-        prior.depth = std::move(depth);
-        prior.sigma = std::move(sigma);
+        prior.depth = given_raster(depth, view.camera.size, 1, "depth");
+        prior.sigma = given_raster(sigma, view.camera.size, 1, "sigma");
         prior.camera = view.camera;
         prior.pose = view.pose;
         return prior;
       }))
-      .def_readonly("depth", &DepthPrior::depth)
-      .def_readonly("sigma", &DepthPrior::sigma)
+      .def_property_readonly("depth", raster(&DepthPrior::depth))
+      .def_property_readonly("sigma", raster(&DepthPrior::sigma))
       .def_property_readonly("camera",
                              [](const DepthPrior& p) {
                                return RasterView{p.camera, p.pose};

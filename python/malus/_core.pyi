@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from malus.camera import Camera
 
@@ -219,7 +219,7 @@ class DepthPrior:
     def filled_fraction(self) -> float: ...
     @property
     def assumes_sigma(self) -> bool: ...
-    def __init__(self, depth: _Float32, sigma: _Float32, camera: Camera) -> None: ...
+    def __init__(self, depth: ArrayLike, sigma: ArrayLike, camera: Camera) -> None: ...
     @property
     def depth(self) -> _Float32: ...
     @property
@@ -248,9 +248,9 @@ class FusedSurface:
     def warnings(self) -> list[str]: ...
     def __init__(
         self,
-        depth: _Float32,
-        normals: _Float32,
-        sigma: _Float32,
+        depth: ArrayLike,
+        normals: ArrayLike,
+        sigma: ArrayLike,
         camera: Camera,
     ) -> None: ...
     @property

@@ -28,7 +28,7 @@ class Camera:
     model: str
     width: int
     height: int
-    params: Sequence[float]
+    params: Sequence[float] | NDArray[Any]
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
     translation: ArrayLike = field(default_factory=lambda: np.zeros(3))
 
@@ -56,9 +56,9 @@ class Camera:
         )
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation (3×3) and translation (3) as float64, checked."""
-        rotation = np.asarray(as_numbers(self.rotation, "rotation"), dtype=np.float64)
-        translation = np.asarray(as_numbers(self.translation, "translation"), dtype=np.float64)
+        """Copies of rotation (3×3) and translation (3) as float64, checked: to change them does not move the camera."""
+        rotation = np.array(as_numbers(self.rotation, "rotation"), dtype=np.float64)
+        translation = np.array(as_numbers(self.translation, "translation"), dtype=np.float64)
         if rotation.shape != (3, 3):
             raise ValueError(f"rotation has shape {rotation.shape}, expected (3, 3)")
         if translation.shape != (3,):
@@ -124,3 +124,9 @@ def as_view(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]
     if raster.shape != (camera.height, camera.width):
         raise ValueError(f"{name} has shape {raster.shape}, expected {(camera.height, camera.width)} as its camera")
     return raster
+
+
+def require_view(camera: Camera | None, shape: tuple[int, ...], of: str) -> None:
+    """ValueError for the camera of images of another size than `shape`, that of the raster or state `of`: its rays are others."""
+    if camera is not None and (camera.height, camera.width) != shape:
+        raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as {of}")

@@ -30,7 +30,7 @@ _DXF_UNITS = {"um": 13, "mm": 4, "cm": 5, "m": 6, "in": 1, "ft": 2}
 
 @dataclass
 class Layer:
-    """Lines (each N×2 or N×3, station unit) under one name; `label` is written beside the first."""
+    """Lines (each N×2 or N×3, station unit) under one name: a layer of a DXF drawing, a group of an SVG drawing, whose title is `label`."""
 
     name: str
     lines: list[Line] = field(default_factory=list)
@@ -40,21 +40,25 @@ class Layer:
 def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
     """Contour lines of an elevation model, one layer per height; lines are N×3: x right, y up, elevation.
 
-    interval: station unit; by default a round number that gives 10 to 25 lines. InputError if it gives more than 1000 lines.
+    interval: station unit; by default a round number that gives 10 to 25 lines on the relief without its highest and lowest thousandth,
+    which may be wrong points. The lines go up to the highest point, except by default where that took more than 1000. InputError if
+    an interval gives more than 1000 lines.
     """
     import contourpy
 
     known = dem.elevation[np.isfinite(dem.elevation)]
     if known.size == 0 or not np.ptp(known) > 0:
         raise DataError("contours: the elevation model has no relief")
-    low, high = (float(x) for x in np.percentile(known, [0.1, 99.9]))
-    step = round_below((high - low) / 10) if interval is None else interval
-    if not step > 0:
+    bottom, low, high, top = (float(x) for x in np.percentile(known, [0, 0.1, 99.9, 100]))
+    step = round_below((high - low or top - bottom) / 10) if interval is None else interval
+    if not (step > 0 and math.isfinite(step)):
         raise InputError(f"--interval {step}, expected a positive length")
-    first, last = math.ceil(low / step), math.floor(high / step)
+    first, last = math.ceil(bottom / step), math.floor(top / step)
+    if interval is None and last - first > 1000:
+        first, last = math.ceil(low / step), math.floor(high / step)
     if last - first > 1000:
         raise InputError(
-            f"--interval {step} gives {last - first} contour lines, expected at most 1000; the relief spans {number(high - low, 4)}"
+            f"--interval {step} gives {last - first} contour lines, expected at most 1000; the relief spans {number(top - bottom, 4)}"
         )
     rows, columns = dem.elevation.shape
     masked = np.ma.masked_invalid(dem.elevation)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from malus import _core
 from malus._arrays import as_angles, as_colors, as_image, as_mask, as_rows, as_shares
 from malus._core import PolarizationState
-from malus.camera import Camera
+from malus.camera import Camera, require_view
 from malus.threads import ALL_CORES
 
 __all__ = [
@@ -80,6 +80,7 @@ def check_phase(
     with exp(4i azimuth), because the two are equal for diffuse and for specular reflection. Each place is weighted by the
     uncertainty of its phase (noise over degree) and of its azimuth (0.15 over slope).
     """
+    require_view(camera, state.unpolarized.shape, "the state")
     return PhaseFinding(**_core.check_phase(state, camera, as_image(normals, "normals", 3), threads))
 
 
@@ -87,8 +88,7 @@ def _scene_and_mask(
     state: PolarizationState, camera: Camera, scene: ArrayLike | None, mask: ArrayLike | None
 ) -> tuple[NDArray[Any] | None, NDArray[np.uint8]]:
     shape = state.unpolarized.shape
-    if (camera.height, camera.width) != shape:
-        raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as the state")
+    require_view(camera, shape, "the state")
     image = None if scene is None else as_image(scene, "scene")
     if image is not None and image.shape != shape:
         raise ValueError(f"scene has shape {image.shape}, expected {shape}")
@@ -153,13 +153,19 @@ def check_depth(
 def check_size(points_in_cam: ArrayLike, camera: Camera, *, unit: str = "mm") -> Finding:
     """State size and distance of the object in words; if they are implausible, warn and name the likelier unit.
 
-    points_in_cam: N×3, of the object, camera frame, N > 0.
+    points_in_cam: N×3, of the object, camera frame, N > 0, without NaN.
     """
-    return Finding(**_core.check_size(as_rows(points_in_cam, "points_in_cam"), camera, unit))
+    points = as_rows(points_in_cam, "points_in_cam")
+    if not np.isfinite(points).all():
+        raise ValueError("points_in_cam has numbers that are not finite, expected only pixels with a depth")
+    return Finding(**_core.check_size(points, camera, unit))
 
 
 def check_order(
-    images: Sequence[ArrayLike], angles_rad: Sequence[float], *, mask: ArrayLike | None = None
+    images: Sequence[ArrayLike] | NDArray[Any],
+    angles_rad: Sequence[float] | NDArray[Any],
+    *,
+    mask: ArrayLike | None = None,
 ) -> OrderFinding:
     """Check whether the images are in the order of their angles, by how well each pixel follows the sinusoid.
 
@@ -174,8 +180,8 @@ def check_order(
 
 
 def check_response(
-    images: Sequence[ArrayLike],
-    angles_rad: Sequence[float],
+    images: Sequence[ArrayLike] | NDArray[Any],
+    angles_rad: Sequence[float] | NDArray[Any],
     *,
     mask: ArrayLike | None = None,
     response: str = "linear",

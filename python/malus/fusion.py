@@ -1,4 +1,8 @@
-"""Fusion of prior and polarization into one surface."""
+"""Fusion of prior and polarization into one surface.
+
+`FusedSurface(depth, normals, sigma, camera)` takes rasters of your own (H×W, H×W×3, H×W; NaN = none), which it copies. Its rasters are
+read-only: for another surface change copies of them, and make a new one.
+"""
 
 from __future__ import annotations
 

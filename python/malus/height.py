@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from malus import _core
 from malus._arrays import as_image, as_mask, as_numbers
 from malus._core import HeightMap, PolarizationState, ReflectionMap
-from malus.camera import Camera
+from malus.camera import Camera, require_view
 from malus.options import Options
 from malus.threads import ALL_CORES
 
@@ -31,6 +31,7 @@ def light(
     Returns `light` (4), `status`, `rms`, `robust_sigma` (unit of the intensity) and `pixels`. camera None = orthographic.
     """
     image = as_image(intensity, "intensity")
+    require_view(camera, image.shape, "intensity")
     return _core.estimate_light(
         image,
         as_image(normals, "normals", 3),
@@ -58,6 +59,7 @@ def light_from_polarization(
     is used if it is within 10° of the light fitted to the outline; otherwise the outline's light is used. "convex": the object is
     convex as a whole (after Smith et al. 2016). With `direction` (3, camera frame, towards the source) only the strength is found.
     """
+    require_view(camera, state.unpolarized.shape, "the state")
     vector = None
     if direction is not None:
         vector = np.asarray(as_numbers(direction, "direction"), dtype=np.float64)
@@ -85,6 +87,7 @@ def solve(
     surface in the camera, NaN = none. The solution starts from it, continued over its gaps, where that is likelier than the linear
     solution; with the option height.boundary = "prior" it keeps to it along the outline. `status` says how the solver ended.
     """
+    require_view(camera, state.unpolarized.shape, "the state")
     vector = None
     if light is not None:
         vector = np.asarray(as_numbers(light, "light"), dtype=np.float64)

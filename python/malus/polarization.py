@@ -24,7 +24,7 @@ from malus._arrays import (
     require_noise,
 )
 from malus._core import PolarizationState, ReflectionMap
-from malus.camera import Camera
+from malus.camera import Camera, require_view
 from malus.options import Options
 from malus.threads import ALL_CORES
 
@@ -45,7 +45,7 @@ __all__ = [
 
 def calibrate(
     images: Sequence[ArrayLike] | NDArray[Any],
-    angles_rad: Sequence[float] = (),
+    angles_rad: Sequence[float] | NDArray[Any] = (),
     *,
     mask: ArrayLike | None = None,
     full_well_e: float = 20000.0,
@@ -99,6 +99,7 @@ def calibrate_with_surface(
     Raises ValueError for wrong shapes; malus.InputError if the scale certainly counts the other way or is off by 90°; malus.DataError if
     the scale is not known and the surface does not determine it.
     """
+    require_view(camera, state.unpolarized.shape, "the state")
     surface = as_image(normals, "normals", 3)
     if surface.shape[:2] != state.unpolarized.shape:
         raise ValueError(f"normals has shape {surface.shape}, expected {(*state.unpolarized.shape, 3)} as the state")
@@ -122,7 +123,7 @@ def calibrate_with_surface(
 
 def decompose(
     images: Sequence[ArrayLike] | NDArray[Any],
-    angles_rad: Sequence[float],
+    angles_rad: Sequence[float] | NDArray[Any],
     *,
     mask: ArrayLike | None = None,
     full_well_e: float = 20000.0,
@@ -204,6 +205,7 @@ def map_reflection(
     and specular and pick the side of Brewster's angle. reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse,
     2 = specular, 0 = decide). Returns `label` (H×W uint8, 0 = outside) and `zenith_rad` (H×W, NaN = none).
     """
+    require_view(camera, state.unpolarized.shape, "the state")
     normals = None if prior_normals is None else as_image(prior_normals, "prior_normals", 3)
     name, labels = as_reflection(reflection, state.degree.shape)
     return _core.map_reflection(

@@ -1,8 +1,8 @@
 """The coarse surface in the polarized view.
 
-`DepthPrior(depth, sigma, camera)` takes rasters of your own (H×W; z in the camera and its standard deviation, NaN = none). Such a
-sigma counts as a systematic error, like that of a shape: the fused surface is not anchored to these depths, and its sigma is
-nowhere smaller. `project_depth` with the option prior.sigma makes a prior whose errors are noise.
+`DepthPrior(depth, sigma, camera)` takes rasters of your own (H×W; z in the camera and its standard deviation, NaN = none), which it
+copies; its rasters are read-only. Such a sigma counts as a systematic error, like that of a shape: the fused surface is not anchored to
+these depths, and its sigma is nowhere smaller. `project_depth` with the option prior.sigma makes a prior whose errors are noise.
 """
 
 from __future__ import annotations

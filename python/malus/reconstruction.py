@@ -22,6 +22,7 @@ from malus.photogrammetry import StationCameras
 from malus.result import Confidence, Result
 from malus.station import Station
 from malus.threads import ALL_CORES
+from malus.workspace import Workspace
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def reconstruct(
     """Run the pipeline on a station.
 
     With a workspace folder every step is written there, and steps already done with the same inputs and options are not
-    repeated; without one everything stays in memory. A workspace belongs to one station: the workspace of another station is
+    repeated; without one everything stays in memory. The folder holds the surface of the last run only. A workspace belongs to one station: the workspace of another station is
     refused unless `replace` is true. `until` names the last step to run; the steps that it needs run first (see
     malus.workspace.STEPS). `reference` is a PLY cloud or mesh in the world frame to compare the surface with. keep_maps=False
     frees maps that no later step needs. This saves memory; the result then has only the maps of the last step, and the other maps
@@ -123,6 +124,7 @@ def _result(outcome: dict[str, Any], name: str, workspace: str | Path | None, sa
         quality=None if quality is None else json.loads(quality),
         workspace=None if workspace is None else Path(workspace),
         _save=save,
+        _fused_key=None if workspace is None else Workspace(workspace).fused_key,
     )
 
 

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from malus._files import require_utf8
 from malus.camera import Camera
 from malus.errors import InputError
 from malus.lengths import shown
+from malus.workspace import Workspace
 
 #: Long side of the pictures in a notebook, in pixels.
 _PICTURE_PX = 480
@@ -34,11 +36,13 @@ class Result:
     """What a reconstruction returns; rasters have the size of the undistorted polarized image and are read-only.
 
     depth: H×W float32, z in the station camera, station unit, NaN = none. normals: H×W×3 float32, unit, camera frame (x
-    right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth: the
-    coarse surface. camera: the camera of all rasters, with its pose; None for a station without a camera. status: how the
-    fusion ended, on success "converged" for a solver and "done" for the grid transfer. confidence: how far the surface may
-    be trusted. warnings: those of all steps, "<step>: <sentence>". quality: every figure of the report (as quality.json).
-    Fields of steps that were not run are None.
+    right, y down, z forward), towards the camera. sigma: H×W float32, one standard deviation of depth. prior_depth, prior_sigma:
+    the same of the coarse surface. polarization_height: H×W, from polarization alone, in pixels on the object (GSD), positive
+    towards the camera. unpolarized: H×W, linear, 1 = white level; degree, phase_rad (0 to π, counter-clockwise from image +x), and
+    zenith_rad (angle between normal and viewing ray by the degree alone): H×W. camera: the camera of all rasters, with its pose;
+    None for a station without a camera. status: how the fusion ended, on success "converged" for a solver and "done" for the grid
+    transfer. confidence: how far the surface may be trusted. warnings: those of all steps, "<step>: <sentence>". quality: every
+    figure of the report (as quality.json). Fields of steps that were not run are None.
     """
 
     name: str
@@ -59,6 +63,7 @@ class Result:
     quality: dict[str, Any] | None
     workspace: Path | None
     _save: Callable[[Path], None] | None = field(default=None)
+    _fused_key: str | None = field(default=None)
 
     @property
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -70,14 +75,23 @@ class Result:
 
         Steps that were not run yet are run now. Raises InputError for a result that was unpickled, such as one from another process.
         """
+        require_utf8(workspace)
         if self._save is None:
             raise InputError(f"{self.name}: the result comes from another process, expected one of malus.reconstruct")
         self._save(Path(workspace))
 
     @contextmanager
     def in_workspace(self) -> Iterator[Path]:
-        """The workspace of the run; for a result in memory, a temporary workspace that exists until the context ends."""
+        """The workspace of the run; for a result in memory, a temporary workspace that exists until the context ends.
+
+        Raises InputError if another run has meanwhile written another surface there.
+        """
         if self.workspace is not None:
+            if self._fused_key not in (None, Workspace(self.workspace).fused_key):
+                raise InputError(
+                    f"{self.workspace}: a later run has replaced the surface of this result by another one; expected the result "
+                    "of that run, or a workspace for each result"
+                )
             yield self.workspace
             return
         with tempfile.TemporaryDirectory(prefix="malus-") as folder:
@@ -89,7 +103,7 @@ class Result:
         from malus.report import open_page, write_report
 
         if self.workspace is not None:
-            return open_page(write_report(self.workspace))
+            return open_page(write_report(self))
         return open_page(write_report(self, Path(tempfile.mkdtemp(prefix="malus-")) / "report.html"))
 
     def pictures(self) -> dict[str, NDArray[np.uint8]]:

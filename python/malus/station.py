@@ -164,7 +164,7 @@ class Station:
     def __init__(
         self,
         images: Sequence[ArrayLike] | NDArray[Any],
-        angles_deg: Sequence[float] | Literal["auto"] | None,
+        angles_deg: Sequence[float] | NDArray[Any] | Literal["auto"] | None,
         camera: Camera | None,
         *,
         prior_points: ArrayLike | None = None,
@@ -327,7 +327,7 @@ def _stack(
     return stack, has_white and all(np.asarray(image).dtype.kind in "iu" for image in images)
 
 
-def _angles(angles_deg: Sequence[float] | str | None, count: int) -> Any:
+def _angles(angles_deg: Sequence[float] | NDArray[Any] | str | None, count: int) -> Any:
     """The angles as a station file states them; ValueError unless there is one for each image."""
     if angles_deg is None or isinstance(angles_deg, str):
         return angles_deg

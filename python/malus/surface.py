@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from malus import _core
 from malus._arrays import as_image, as_rows, as_triangles
 from malus._core import FusedSurface
-from malus.camera import Camera
+from malus._files import require_utf8
+from malus.camera import Camera, as_view
 from malus.options import Options
 from malus.threads import ALL_CORES
 
@@ -62,13 +63,17 @@ def dem_from_mesh(
 
 
 def write_dem(path: str | Path, dem: Dem, *, unit: str, name: str) -> None:
-    """Write an elevation model as GeoTIFF in a local coordinate system (x right, y up, in `unit`, e.g. "mm")."""
-    _core.write_dem(str(path), dem.elevation, dem.pixel, dem.origin, dem.right, dem.up, dem.normal, unit, name)
+    """Write an elevation model as GeoTIFF in a local coordinate system (x right, y up, in `unit`, e.g. "mm"); NaN = no data."""
+    require_utf8(path)
+    elevation = as_image(dem.elevation, "elevation")
+    _core.write_dem(str(path), elevation, dem.pixel, dem.origin, dem.right, dem.up, dem.normal, unit, name)
 
 
 def normals_from_depth(depth: ArrayLike, camera: Camera, *, threads: int = ALL_CORES) -> NDArray[np.float32]:
-    """Unit normals (H×W×3, camera frame, towards the camera) of a z-depth map (H×W, NaN = none)."""
-    return _core.normals_from_depth(as_image(depth, "depth"), camera, threads)
+    """Unit normals (H×W×3, camera frame, towards the camera) of a z-depth map (H×W, NaN = none); ValueError if it is not of the camera's
+    size.
+    """
+    return _core.normals_from_depth(as_view(depth, "depth", camera), camera, threads)
 
 
 def mesh_from_depth(

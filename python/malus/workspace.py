@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus._core import FusedSurface
-from malus._files import read_regular, sha256_of
+from malus._files import read_regular, require_utf8, sha256_of
 from malus.camera import Camera
 from malus.errors import InputError, MalusError
 from malus.options import Options
@@ -73,6 +73,7 @@ class Workspace:
     """
 
     def __init__(self, folder: str | Path) -> None:
+        require_utf8(folder)
         self.folder = Path(folder)
         self._checked: set[str] = set()
 
@@ -216,6 +217,12 @@ class Workspace:
             raise InputError(f"{self.folder}: has no fused surface; run `malus run` first")
         notes: dict[str, Any] = self.manifest["steps"]["fuse"]["notes"]
         return notes
+
+    @property
+    def fused_key(self) -> str | None:
+        """What the fused surface was made from and how, as a checksum; None if there is none."""
+        key: str | None = self.manifest["steps"].get("fuse", {}).get("key")
+        return key
 
     @cached_property
     def camera(self) -> Camera:

@@ -23,13 +23,16 @@ _XMP_TAG = 700
 #: XML namespace of the properties that say how far the surface may be trusted.
 NAMESPACE = "urn:malus:surface/"
 #: [object] key → property of Dublin Core and its RDF container: "Alt" for text in several languages, "Seq" or "Bag" for lists, "" for none.
+#: Two keys have a property of our own: dc:format is the type of the file in XMP, and a second dc:date would be another of the object's.
 _PROPERTIES = {
     "title": ("dc:title", "Alt"),
     "identifier": ("dc:identifier", ""),
     "maker": ("dc:creator", "Seq"),
     "recorded_by": ("dc:contributor", "Bag"),
+    "recorded_on": ("malus:recorded_on", ""),
     "date": ("dc:date", "Seq"),
     "place": ("dc:coverage", ""),
+    "material": ("malus:material", ""),
     "collection": ("dc:relation", "Bag"),
     "description": ("dc:description", "Alt"),
     "rights": ("dc:rights", "Alt"),

@@ -16,7 +16,7 @@ import tifffile
 
 import malus
 from conftest import edit, malus_here
-from malus.archive import _inputs
+from malus.archive import _inputs, dublin_core
 
 bagit = pytest.importorskip("bagit")
 rocrate = pytest.importorskip("rocrate.rocrate")
@@ -84,6 +84,14 @@ def test_archive_has_catalog_entries_and_paradata(bag: Path, finished_grid: Path
     settings = {entity["name"]: entity["value"] for key, entity in known.items() if key.startswith("#setting-")}
     assert json.loads(settings["height.smoothness"]) == workspace.options().height.smoothness
     assert known["#OpenCV"]["softwareVersion"].startswith("4.")
+
+
+def test_the_catalog_record_has_every_entry() -> None:
+    """The date of the recording was missing."""
+    known = {"title": "Stone & label", "date": "1907", "recorded_on": "2026-05-01", "material": "marl"}
+    record = dublin_core("small", known)
+    assert "<dc:date>1907</dc:date>" in record and "<dc:date>2026-05-01</dc:date>" in record
+    assert "<dc:title>Stone &amp; label</dc:title>" in record and "<dc:format>marl</dc:format>" in record
 
 
 def test_names_are_escaped_in_addresses_only(tiny_station: Path, tmp_path: Path) -> None:

@@ -255,6 +255,46 @@ def test_masked_values_are_not_read(maps: tuple[np.ndarray, np.ndarray, np.ndarr
             lambda m, camera: m.prior.DepthPrior(np.ones((40, 49)), np.ones((40, 50)), camera),
             r"depth has shape \(40, 49\), expected \(40, 50\)",
         ),
+        (
+            lambda m, camera: m.prior.DepthPrior(np.ma.masked_equal(np.eye(40, 50), 0), np.ones((40, 50)), camera),
+            "depth has masked values",
+        ),
+        (
+            lambda m, camera: m.fusion.FusedSurface(
+                np.ones((40, 50)), np.ones((40, 50, 3)), np.ma.masked_equal(np.eye(40, 50), 0), camera
+            ),
+            "sigma has masked values",
+        ),
+        (lambda m, camera: m.prior.DepthPrior([["x"] * 50] * 40, np.ones((40, 50)), camera), "depth has type"),
+        (
+            lambda m, camera: m.surface.write_dem(
+                "dem.tif",
+                m.surface.Dem(np.ma.masked_equal(np.eye(4), 0), 1.0, np.zeros(3), *np.eye(3)),
+                unit="mm",
+                name="stone",
+            ),
+            "elevation has masked values",
+        ),
+        (
+            lambda m, camera: m.evidence.check_size([[0, 0, 100], [np.nan, 1, 100]], camera),
+            "points_in_cam has numbers that are not finite",
+        ),
+        (
+            lambda m, camera: m.surface.normals_from_depth(np.ones((20, 25)), camera),
+            r"depth has shape \(20, 25\), expected \(40, 50\) as its camera",
+        ),
+        (
+            lambda m, camera: m.assess.fit_patch(np.ones((20, 25)), camera, (0, 0, 9, 9), 0.1),
+            r"depth has shape \(20, 25\), expected \(40, 50\) as its camera",
+        ),
+        (
+            lambda m, camera: m.assess.profile(np.ones((40, 50)), camera, (0, 5), (9, 5), 0.1, prior=np.ones((20, 25))),
+            r"prior has shape \(20, 25\), expected \(40, 50\) as its camera",
+        ),
+        (
+            lambda m, camera: m.assess.fit_patch(np.ones((40, 50)), camera, (0, 0, 9, 9), 0),
+            "gsd = 0, expected a positive length",
+        ),
     ],
 )
 def test_wrong_arguments_are_named(call: Callable[..., object], said: str) -> None:
@@ -262,6 +302,53 @@ def test_wrong_arguments_are_named(call: Callable[..., object], said: str) -> No
     camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
     with pytest.raises(ValueError, match=said):
         call(malus, camera)
+
+
+def test_rasters_of_steps_cannot_be_changed(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Each access made a copy: what was written into it was lost without a message, such as `prior.depth[hole] = nan`."""
+    camera = malus.Camera("PINHOLE", 50, 40, [100.0, 100.0, 24.5, 19.5])
+    state = malus.polarization.decompose(polarized(*maps), ANGLES)
+    reflection = malus.polarization.map_reflection(state)
+    given = np.ones((40, 50), np.float32)
+    prior = malus.prior.DepthPrior(given, given, camera)
+    surface = malus.fusion.FusedSurface(given, np.ones((40, 50, 3), np.float32), given, camera)
+    height = malus.height.solve(state, reflection, light=[0, 0, -1, 0.1])
+    for owner, names in (
+        (prior, "depth sigma"),
+        (surface, "depth normals sigma"),
+        (reflection, "label zenith_rad"),
+        (height, "height"),
+        (state, "unpolarized degree phase_rad residual valid"),
+    ):
+        for name in names.split():
+            raster = getattr(owner, name)
+            assert raster.shape == ((40, 50, 3) if name == "normals" else (40, 50))
+            with pytest.raises(ValueError, match="read-only"):
+                raster[0, 0] = 0
+            assert np.shares_memory(raster, getattr(owner, name)), name
+    given[:] = 2
+    depth = prior.depth
+    del prior
+    assert (depth == 1).all(), "the arrays that were given are copied, and a raster outlives its owner's name"
+
+
+def test_cameras_of_other_images_are_refused(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """With the camera of the full images, maps of halved images had the rays of their upper left quarter, and no message."""
+    state = malus.polarization.decompose(polarized(*maps), ANGLES)
+    reflection = malus.polarization.map_reflection(state)
+    normals = np.broadcast_to(np.float32([0, 0, -1]), (40, 50, 3))
+    camera = malus.Camera("PINHOLE", 100, 80, [200.0, 200.0, 49.5, 39.5])
+    for call in (
+        lambda: malus.polarization.map_reflection(state, camera=camera),
+        lambda: malus.polarization.calibrate_with_surface(state, normals, camera=camera),
+        lambda: malus.evidence.check_phase(state, normals, camera=camera),
+        lambda: malus.evidence.check_depth(np.ones((80, 100)), state, camera),
+        lambda: malus.height.light(state.unpolarized, normals, camera=camera),
+        lambda: malus.height.light_from_polarization(state, reflection, camera=camera),
+        lambda: malus.height.solve(state, reflection, camera=camera, light=[0, 0, -1, 0]),
+    ):
+        with pytest.raises(ValueError, match=r"camera has shape \(80, 100\), expected \(40, 50\) as "):
+            call()
 
 
 def test_wrong_angles_are_named(maps: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:

@@ -445,6 +445,16 @@ def test_every_warning_is_explained() -> None:
     ]
 
 
+def test_deliverables_describe_every_file_of_a_run() -> None:
+    """Units and values of nine rasters stood nowhere: the zeniths are in radians, and 64 in valid.png is saturated."""
+    page = (ROOT / "docs" / "deliverables.md").read_text(encoding="utf-8")
+    for fusion in ("grid", "refined"):
+        for name, _, leaves, may_leave in _core.describe_run(malus.Options(fusion=fusion).to_json(), None):
+            for file in (*leaves, *may_leave) if name not in ("paper", "report") else ():
+                told = f"`{Path(file).name}`" in page and f"`{Path(file).parent}/" in page
+                assert f"`{file}`" in page or told, f"{name}: {file}"
+
+
 def test_the_python_reference_has_every_public_name() -> None:
     text = (ROOT / "docs/reference/python.md").read_text(encoding="utf-8")
     names = set(re.findall(r"^        - (\w+)$", text, re.MULTILINE))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import struct
 import sys
@@ -20,9 +21,9 @@ import pytest
 import tifffile
 
 import malus
+from conftest import ROOT, malus_here, malus_station, run_program
 from conftest import malus as run_malus
-from conftest import malus_here, malus_station, run_program
-from malus import _core, drawings, exported, exports, rti, scans
+from malus import _core, drawings, exported, exports, rti, scans, xmp
 from malus._files import read_record
 from malus.object import arrays
 from malus.raster import sample
@@ -456,6 +457,24 @@ def test_orthophoto_lies_on_the_elevation_model(workspace: malus.Workspace, tmp_
     assert np.abs(picture[:3, known].T - expected).max() <= 0.5 + 1e-9
 
 
+def test_rims_have_the_color_of_the_object(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """In orthophotos, and at vertices of simplified meshes, they were mixed with the black of the pixels beside the object."""
+    from PIL import Image
+
+    exporter = exports.Exporter(workspace)
+    surface = exporter.surface
+    v, u = np.indices(surface.depth.shape)
+    outside = np.hypot(u - 100, v - 80) > 60
+    depth = np.where(outside, np.float32(np.nan), surface.depth)
+    exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, surface.sigma, surface.camera)
+    exporter.__dict__["color"] = np.where(outside, np.float32(np.nan), np.float32(0.4))
+    assert set(np.unique(exporter.picture())) == {0, 255}
+    exports.FORMATS["orthophoto"][0](exporter, tmp_path / "a.png")
+    picture = np.asarray(Image.open(tmp_path / "a.png"))
+    shown = picture[..., 3] > 0
+    assert shown.sum() > 5000 and (picture[shown, :3] == 255).all()
+
+
 def of_the_surface(workspace: malus.Workspace) -> list[str]:
     """The lines about the surface that every exported file must contain."""
     confidence = workspace.quality["confidence"]
@@ -586,6 +605,24 @@ def test_images_name_object_and_license(workspace: malus.Workspace, tmp_path: Pa
         assert "".join(terms.itertext()).strip() == "CC-BY-4.0"
 
 
+def test_xmp_has_every_entry_of_the_catalog() -> None:
+    """Material and date of the recording were missing in PNG and TIFF files."""
+    from xml.etree import ElementTree
+
+    keys = [field.strip("`") for row in catalog_rows() for field in row.split("|")[1].replace(",", " ").split()]
+    assert len(keys) == 11
+    packed = xmp.packet("stone", {key: f"the {key} & more" for key in keys}, {"unit": "mm"})
+    root = ElementTree.fromstring(packed.split("?>", 1)[1].rsplit("<?", 1)[0])
+    texts = {text.strip() for text in root.itertext()}
+    assert {f"the {key} & more" for key in keys} <= texts
+
+
+def catalog_rows() -> list[str]:
+    """The rows of the table of [object] in docs/station-file.md."""
+    text = (ROOT / "docs" / "station-file.md").read_text(encoding="utf-8")
+    return re.findall(r"^\| `.*$", text.split("## [object]")[1].split("\n## ")[0], re.MULTILINE)
+
+
 def test_the_color_profile_does_not_depend_on_the_time() -> None:
     """PNG and JPEG files of two equal exports differed by the date in their profile."""
     import io
@@ -645,6 +682,21 @@ def test_contours_lie_at_their_height(workspace: malus.Workspace, tmp_path: Path
         for curve, line in zip(drawn, expected, strict=True):
             seen = np.array([(segment.end.x, -segment.end.y) for segment in curve])
             np.testing.assert_allclose(seen - seen[0], line[:, :2] - line[0, :2], atol=2e-3)
+
+
+@pytest.mark.parametrize("interval", [0.5, None])
+def test_contours_go_up_to_the_top(interval: float | None) -> None:
+    """A boss on less than a thousandth of the surface had none: the lines ended at the height of what is around it."""
+    elevation = np.tile(np.linspace(0, 1, 100, dtype=np.float32), (100, 1))
+    elevation[50:53, 50:53] = 3.2
+    dem = malus.surface.Dem(elevation, 0.1, np.zeros(3), *np.eye(3))
+    heights = [float(layer.name) for layer in drawings.contours(dem, interval) if layer.lines]
+    assert max(heights) > 2.9 and min(heights) < 0.6
+    with pytest.raises(malus.InputError, match="inf, expected a positive length"):
+        drawings.contours(dem, float("inf"))
+    # A point that is wrong by far neither makes a thousand lines nor takes those of the relief.
+    elevation[80, 80] = 1e5
+    assert 8 < sum(len(layer.lines) > 0 for layer in drawings.contours(dem)) < 26
 
 
 def test_sections_equal_the_profiles(workspace: malus.Workspace, tmp_path: Path) -> None:
@@ -800,6 +852,20 @@ def test_what_a_killed_export_had_begun_is_removed_by_the_next(finished_grid: Pa
     assert set(tmp_path.iterdir()) == {tmp_path / "a.tif", young, of_others}
 
 
+def test_names_that_are_not_utf_8_are_refused(workspace: malus.Workspace, tmp_path: Path) -> None:
+    """From Python the extension refused them as "incompatible function arguments", which is no error of Malus."""
+    name = os.fsdecode(b"stone\xff")
+    dem = malus.surface.Dem(np.zeros((2, 2), np.float32), 1.0, np.zeros(3), *np.eye(3))
+    for call in (
+        lambda: malus.export(workspace.folder, "ply", tmp_path / f"{name}.ply"),
+        lambda: malus.surface.write_dem(tmp_path / f"{name}.tif", dem, unit="mm", name="stone"),
+        lambda: malus.Workspace(tmp_path / name).quality,
+    ):
+        with pytest.raises(malus.InputError, match="this name is not in UTF-8"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
 def test_dem_export_equals_that_of_the_run(finished_grid: Path, tmp_path: Path) -> None:
     path = malus.export(finished_grid, "dem", tmp_path / "a.tif")
     rasterio = pytest.importorskip("rasterio")
@@ -815,6 +881,7 @@ def test_dem_export_equals_that_of_the_run(finished_grid: Path, tmp_path: Path) 
         (["--format", "las", "--faces", "10"], "--faces is for"),
         (["--format", "obj", "--faces", "2"], "at least 4"),
         (["--format", "stl", "--interval", "1"], "--interval is for contours"),
+        (["--format", "stl", "--interval", "0"], "--interval is for contours"),
         (["--format", "obj", "--y-up"], "--y-up is for glb"),
         (["--format", "contours", "--interval", "-1"], "expected a positive length"),
         (["--format", "contours", "--interval", "0.0001"], "expected at most 1000"),

@@ -58,6 +58,16 @@ def test_rasters_cannot_be_changed(result: malus.Result) -> None:
         result.depth[0, 0] = 1
 
 
+def test_a_changed_pose_moves_no_camera(result: malus.Result) -> None:
+    """A translation that was scaled to meters in place moved the result's camera, and every point computed with it later."""
+    assert result.camera is not None and result.pose is not None
+    before = result.camera.description()
+    for rotation, translation in (result.pose, result.camera.pose(), result.camera.values()[-2:]):
+        rotation *= -1
+        translation += 7
+    assert result.camera.description() == before
+
+
 def test_save_writes_what_is_in_memory(result: malus.Result, tmp_path: Path) -> None:
     result.save(tmp_path)
     workspace = malus.Workspace(tmp_path)
@@ -81,6 +91,25 @@ def test_exports_and_report_from_memory(result: malus.Result, tmp_path: Path) ->
         malus.export(result, "ply")
     with pytest.raises(malus.InputError, match="output is missing"):
         malus.write_report(result)
+
+
+def test_a_result_does_not_stand_for_the_surface_of_a_later_run(
+    scene: synthetic.Scene, sensor: synthetic.Sensor, images: list[np.ndarray], tmp_path: Path
+) -> None:
+    """An export of the first result wrote the surface of the second one, whose run had used the same workspace."""
+    station = malus.Station(images, sensor.angles_deg, scene.camera, prior_depth=scene.depth)
+    settings = [malus.Options(fusion="grid", grid={"grid_px": cell}) for cell in (8, 16)]
+    first, second = (
+        malus.reconstruct(station, options, workspace=tmp_path / "work", until="fuse") for options in settings
+    )
+    with second.in_workspace() as folder:
+        np.testing.assert_array_equal(malus.Workspace(folder).raster("fused/depth.tif"), second.depth)
+    for use in (first.show, lambda: malus.export(first, "ply", tmp_path / "a.ply"), lambda: malus.write_report(first)):
+        with pytest.raises(malus.InputError, match="a later run has replaced the surface of this result"):
+            use()
+    malus.reconstruct(station, settings[0], workspace=tmp_path / "work", until="fuse")
+    with pickle.loads(pickle.dumps(first)).in_workspace() as folder:
+        np.testing.assert_array_equal(malus.Workspace(folder).raster("fused/depth.tif"), first.depth)
 
 
 def test_show_opens_the_report_whatever_the_name(

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from malus import exported
-from malus._files import UNTIL_LEFT_S, remove_unfinished, writing
+from malus._files import UNTIL_LEFT_S, remove_unfinished, require_utf8, writing
 from malus.chart import ColorCorrection
 from malus.errors import InputError
 from malus.exports import adapters, clouds, maps, meshes
@@ -106,7 +106,7 @@ def export(
         (trim, "trim", MESHES),
         (fill, "fill", MESHES),
     ):
-        if given and format not in allowed:
+        if given is not None and given is not False and format not in allowed:
             raise InputError(f"--{name} is for {', '.join(allowed)}, not for {format}")
     if trim is not None and not trim > 0:
         raise InputError(f"--trim {trim}, expected a positive standard deviation in GSD")
@@ -115,6 +115,7 @@ def export(
     write, name, endings = FORMATS[format]
     with folder_of(work, output, "a file") as folder:
         path = folder / "export" / name if output is None else Path(output)
+        require_utf8(path)
         if path.suffix.lower() not in endings:
             raise InputError(
                 f"{path}: ends in {path.suffix!r}, expected {' or '.join(endings) or 'a folder'} for {format}"

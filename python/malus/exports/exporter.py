@@ -72,6 +72,24 @@ class Exporter:
             picture[self.filled] = FILLED_COLOR
         return picture
 
+    @cached_property
+    def _weighted_picture(self) -> NDArray[np.uint8]:
+        """`picture` with 255 as the fourth channel, H×W×4; 0 in all channels where there is no surface."""
+        known = np.isfinite(self.surface.depth)
+        return np.dstack([self.picture(), np.where(known, np.uint8(255), np.uint8(0))]) * known[..., None]
+
+    def colors(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """The object's color at world points (N×3) of the surface, sRGB, N×3: the mean of the pixels around that are on the surface.
+        Those beside it have the color of something else, or none, which would darken the rim.
+        """
+        pixels = self.pixels(points)
+        seen = sample(self._weighted_picture, pixels)
+        weight = seen[:, 3:]
+        colors = seen[:, :3] * (255 / np.maximum(weight, 1))
+        beside = weight[:, 0] < 1  # a vertex that simplification has moved beside the surface
+        colors[beside] = sample(self.picture(), pixels[beside])
+        return np.rint(colors).astype(np.uint8)
+
     def _photograph(self) -> NDArray[np.uint8]:
         color = self.color
         if self.wishes.chart is not None:
@@ -85,8 +103,7 @@ class Exporter:
         mesh = mesh_from_depth(self.surface, color=self.color, options=self.options, threads=self.threads)
         if self.wishes.chart is None and self.filled is None:
             return mesh
-        colors = np.rint(sample(self.picture(), self.pixels(mesh.vertices))).astype(np.uint8)
-        return replace(mesh, colors=colors)
+        return replace(mesh, colors=self.colors(mesh.vertices))
 
     @property
     def catalog(self) -> dict[str, str]:
@@ -144,8 +161,7 @@ class Exporter:
             (mesh.vertices - middle).astype(np.float32), mesh.triangles.astype(np.int32), target_count=faces
         )
         points = np.asarray(vertices, dtype=np.float64) + middle
-        colors = sample(self.picture(), self.pixels(points))
-        return Mesh(points, self.world_normals(points), np.rint(colors).astype(np.uint8), triangles.astype(np.uint32))
+        return Mesh(points, self.world_normals(points), self.colors(points), triangles.astype(np.uint32))
 
     def texture_coordinates(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Place of world points in the texture, N×2: 0 … 1 from the left and from the bottom."""

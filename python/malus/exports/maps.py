@@ -13,7 +13,6 @@ from malus._extra import extra
 from malus._files import replacing, write_text
 from malus.exports.exporter import Exporter
 from malus.object import arrays
-from malus.raster import sample
 from malus.rti import normal_levels
 from malus.units import METERS
 from malus.xmp import save_png, tag_png, tag_tiff
@@ -70,11 +69,10 @@ def export_orthophoto(exporter: Exporter, path: Path) -> None:
     dem = exporter.dem()
     known = np.isfinite(dem.elevation)
     picture = np.zeros((*dem.elevation.shape, 4), np.uint8)
-    photograph = exporter.picture()
     # In parts, because places and colors of all pixels of 100 megapixels would take tens of GB.
     for rows in arrays.chunks(*known.shape):
         places = dem.points(rows)[known[rows]]
-        picture[rows][known[rows], :3] = np.rint(sample(photograph, exporter.pixels(places)))
+        picture[rows][known[rows], :3] = exporter.colors(places)
     picture[known, 3] = 255
     per_meter = 1 / (dem.pixel * METERS[exporter.unit])
     save_png(path, picture, exporter.xmp(), dpi=per_meter * 0.0254)
