@@ -64,8 +64,9 @@ def _moved_back(points: NDArray[np.float64], comparison: dict[str, Any] | None) 
     if not comparison:
         return points
     motion = comparison["reference_from_surface"]
-    back: NDArray[np.float64] = (points - np.array(motion["translation"])) @ np.array(motion["rotation"]).reshape(3, 3)
-    return back / motion["scale"]
+    turned = (points - np.array(motion["translation"])) @ np.array(motion["rotation"]).reshape(3, 3)
+    back: NDArray[np.float64] = turned / motion["scale"]
+    return back
 
 
 def distances(

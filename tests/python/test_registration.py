@@ -111,7 +111,9 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert alone.code == 2 and "--register needs a reference" in alone.err
 
 
-def test_a_registered_mesh_is_still_a_mesh(finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_registered_mesh_is_still_a_mesh(
+    finished_grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its vertices alone, which may lie far apart, would be compared as a cloud."""
     work = shutil.copytree(finished_grid, tmp_path / "work")
     mesh = malus.exports.Exporter(malus.Workspace(work)).mesh()

@@ -21,7 +21,7 @@ constexpr int most_halvings = 5;
 /// Like whole_height_pixels, for the linear methods: they solve one system, the likelihood about ten.
 constexpr std::size_t whole_linear_pixels = 500'000;
 /// Tiles of larger rasters; neighboring tiles overlap by twice the margin.
-constexpr int tile_px = 256, margin_px = 24;
+constexpr int tile_px = 128, margin_px = 12;
 
 void validate(const HeightInput& input, const HeightOptions& options) {
   validate_fields(options, "height");

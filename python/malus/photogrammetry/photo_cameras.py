@@ -6,6 +6,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -260,9 +261,13 @@ def _connect(
 
 
 def _copy(bench: Bench, photos: Sequence[Photo]) -> dict[str, Any]:
-    for index, photo in enumerate(photos):
-        bench.report("copies", index / len(photos), f"copy of photo {index + 1}/{len(photos)}")
-        write_proxy(photo, bench.images / database.quoted(photo.name))
+    pool = ThreadPoolExecutor(bench.colmap.threads)
+    try:
+        written = pool.map(lambda photo: write_proxy(photo, bench.images / database.quoted(photo.name)), photos)
+        for count, _ in enumerate(written, 1):
+            bench.report("copies", count / len(photos), f"copy of photo {count}/{len(photos)}")
+    finally:  # After a damaged photo or Ctrl-C the others are not waited for.
+        pool.shutdown(cancel_futures=True)
     return {}
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from malus import _core
 from malus.camera import Camera
-from malus.columns import number
+from malus.columns import number as readable
 from malus.errors import DataError, InputError
 from malus.options import Options
 from malus.photogrammetry.diagnosis import NO_SIZE, Log, listed
@@ -167,6 +167,6 @@ def _warn(result: Mapping[str, Any], log: Log) -> None:
         if abs(fit["residual"]) > _SUSPICIOUS * fit["sigma"]:
             log(
                 "warning",
-                f"{fit['name']}: {number(fit['adjusted'], 6)} in the model, {number(fit['distance'], 6)} given, "
+                f"{fit['name']}: {readable(fit['adjusted'], 6)} in the model, {readable(fit['distance'], 6)} given, "
                 f"{abs(fit['residual']) / fit['sigma']:.1f} standard deviations apart",
             )

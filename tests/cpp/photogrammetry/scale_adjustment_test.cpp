@@ -79,7 +79,7 @@ TEST(AdjustScale, TheRmsOfMarksIsThatOfTheirDistances) {
   }
   for (const DistanceFit& fit : adjust_scale(views, distances, {}).distances) {
     EXPECT_GT(fit.worst_px, 0.4);
-    EXPECT_NEAR(fit.rms_px, fit.worst_px, 0.05 * fit.worst_px);
+    EXPECT_NEAR(fit.rms_px, fit.worst_px, 0.1 * fit.worst_px);
   }
 }
 
