@@ -68,7 +68,7 @@ Expected zenith_cost(const Workload& work) {
 }
 
 Expected height_cost(const Workload& work) {
-  Expected cost = expected({2.3, 0.93, 49, 75}, work.object_mpx, work.threads);
+  Expected cost = expected({6.9, 0.96, 49, 75}, work.object_mpx, work.threads);
   // The height is solved as a whole, many times, at the first resolution at which the object is small enough; that of a
   // large raster is halved in any case.
   constexpr double seconds_per_mpx = 35;
@@ -90,7 +90,7 @@ Expected grid_cost(const Workload& work) {
 }
 
 Expected refined_cost(const Workload& work) {
-  Expected cost = expected({45, 0.96, 50, 0}, work.object_mpx, work.threads);
+  Expected cost = expected({54, 0.96, 50, 0}, work.object_mpx, work.threads);
   // Memory of the field of a strip, and of a tile's problem for each thread.
   constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
   const RefineOptions& options = work.options.refine;

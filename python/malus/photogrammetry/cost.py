@@ -8,13 +8,20 @@ from dataclasses import dataclass
 from malus.options import Options
 from malus.photogrammetry.features import sift_mb
 
-# Twice the seconds of one run of the relief (12 photos, 8192 features each) with two threads on a shared machine.
-_SECONDS_A_MEGAPIXEL = 2.4
-_SECONDS_A_PAIR = 0.4
-_SECONDS_A_PHOTO = 8.6
+# Processor seconds, by two runs: 12 photos and a station of .6 megapixels, and 40 photos and a station of 18 (decision 71).
+#: Copies and windows.
+_SECONDS_A_MEGAPIXEL, _SECONDS_A_PHOTO = 0.36, 3.6
+#: SIFT, on the photo as it is and at twice its size.
+_SIFT_SECONDS, _DOUBLED_SIFT_SECONDS = 1.1, 3.4
+#: Verification and mapping, by the number of features; comparison of descriptors, by its square; of 8192 features.
+_SECONDS_A_PAIR, _COMPARISON_SECONDS_A_PAIR = 1.3, 0.5
 _FEATURES = 8192
-#: Share of the seconds that the sweep takes.
-_SWEEP_SHARE = 0.3
+#: Features that textured photos have in a megapixel, searched at twice its size; a quarter of them without that.
+_FEATURES_A_MEGAPIXEL = 7600
+#: A sweep, per megapixel of the station and photo.
+_SWEEP_SECONDS = 0.13
+#: Processor seconds in a second, per thread: COLMAP does not use all of them all the time.
+_BUSY_SHARE = 0.8
 #: Memory of Python, its packages and the library before any input is read.
 _FIXED_MB = 100
 #: Maps of the polarization step, which stay in memory meanwhile.
@@ -56,11 +63,26 @@ class Work:
         return sum(1e-6 * width * height for width, height in self.sizes)
 
     @property
-    def seconds(self) -> float:
-        """Seconds of all steps that use the photos."""
-        count, features = len(self.sizes), (self.options.photos.max_features / _FEATURES) ** 2
-        seconds = self.megapixels * _SECONDS_A_MEGAPIXEL + (self.pairs + count) * _SECONDS_A_PAIR * features
-        return (seconds + count * _SECONDS_A_PHOTO) / min(self.threads, 2)
+    def finding_seconds(self) -> float:
+        """Seconds of finding the cameras."""
+        photos = self.options.photos
+        searched = sum(1e-6 * w * h * min(1.0, photos.max_side_px / max(w, h)) ** 2 for w, h in self.sizes)
+        found = _FEATURES_A_MEGAPIXEL * searched / max(len(self.sizes), 1)
+        sift = _SIFT_SECONDS if found / 4 > photos.max_features else _DOUBLED_SIFT_SECONDS
+        features = min(found, photos.max_features) / _FEATURES
+        pair = _SECONDS_A_PAIR * features + _COMPARISON_SECONDS_A_PAIR * features**2
+        seconds = self.megapixels * _SECONDS_A_MEGAPIXEL + len(self.sizes) * _SECONDS_A_PHOTO + searched * sift
+        return (seconds + self.pairs * pair) / self._busy_threads
+
+    @property
+    def sweeping_seconds(self) -> float:
+        """Seconds of the sweeps, without the fusion between them."""
+        sweeps = 2 if self.options.sweep.again else 1
+        return sweeps * _SWEEP_SECONDS * self.station_mpx * len(self.sizes) / self._busy_threads
+
+    @property
+    def _busy_threads(self) -> float:
+        return _BUSY_SHARE * min(self.threads, 2)
 
     def held_mb(self, photo_floats: float, rasters: float) -> float:
         """Memory with `photo_floats` floats per pixel of each photo and `rasters` rasters of the station."""
@@ -71,11 +93,11 @@ class Work:
 def photos_cost(work: Work) -> Expected:
     """Cost of finding the cameras."""
     features_mb = work.held_mb(0, 0) + _COLMAP_MB + work.threads * sift_mb(work.sizes, work.options.photos.max_side_px)
-    return Expected((1 - _SWEEP_SHARE) * work.seconds, max(features_mb, work.held_mb(_MATCHED_FLOATS, 0)))
+    return Expected(work.finding_seconds, max(features_mb, work.held_mb(_MATCHED_FLOATS, 0)))
 
 
 def sweep_cost(work: Work) -> Expected:
     """Cost of the sweeps of one station, without the fusion between them."""
     rasters = _SWEEP_RASTERS + _SWEEP_RASTERS_A_PHOTO * len(work.sizes)
     memory_mb = work.held_mb(_SWEPT_FLOATS, rasters) + work.threads * _SWEEP_MB_A_THREAD
-    return Expected(_SWEEP_SHARE * work.seconds, memory_mb)
+    return Expected(work.sweeping_seconds, memory_mb)
