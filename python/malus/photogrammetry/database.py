@@ -53,16 +53,16 @@ def feature_counts(database: Path) -> dict[str, int]:
         return {unquoted(name): int(count) for name, count in rows}
 
 
-def place_counts(database: Path) -> dict[str, int]:
-    """Number of places in every image that have features, by name; a place can have features of several directions."""
+def place_count(database: Path, image: str) -> int:
+    """Number of places in an image that have features; a place can have features of several directions."""
     with closing(sqlite3.connect(database)) as connection:
-        names = _image_names(connection)
-        rows = connection.execute("SELECT image_id, cols, data FROM keypoints")
-        found = {
-            names[number]: len(np.unique(np.frombuffer(data or b"", "<f4").reshape(-1, columns)[:, :2], axis=0))
-            for number, columns, data in rows
-        }
-        return dict.fromkeys(names.values(), 0) | found
+        row = connection.execute(
+            "SELECT cols, data FROM keypoints JOIN images USING (image_id) WHERE name = ?", (quoted(image),)
+        ).fetchone()
+    if row is None:
+        return 0
+    columns, data = row
+    return len(np.unique(np.frombuffer(data or b"", "<f4").reshape(-1, columns)[:, :2], axis=0))
 
 
 def remove_features(database: Path, images: Iterable[str]) -> None:

@@ -32,21 +32,20 @@ def find_features(bench: Bench, stage: str, target: Path, names: Sequence[str], 
     it is worth trying on the others.
     """
     first, others = names[:1], names[1:]
-    reader = dict(reader)
     _search(bench, stage, target, first, reader, _ORIGINAL)
-    reader.setdefault("existing_camera_id", database.camera_of(target, first[0]))
-    if _lacking(bench, target, first):
-        _forget_and_search(bench, stage, target, first, reader)
-        _search(bench, stage, target, others, reader, _DOUBLED)
-    else:
+    # The others share its camera.
+    reader = {"existing_camera_id": database.camera_of(target, first[0]), **reader}
+    lacking, part = list(names), (0.0, 1.0)
+    if not _lacking(bench, target, first):
         _search(bench, stage, target, others, reader, _ORIGINAL, (0.0, 0.8))
-        _forget_and_search(bench, stage, target, _lacking(bench, target, others), reader, (0.8, 1.0))
+        lacking, part = _lacking(bench, target, others), (0.8, 1.0)
+    database.remove_features(target, lacking)  # COLMAP leaves out images that have features.
+    _search(bench, stage, target, lacking, reader, _DOUBLED, part)
 
 
 def _lacking(bench: Bench, target: Path, names: Sequence[str]) -> list[str]:
     """The images of which COLMAP had no features to drop."""
-    counts = database.place_counts(target)
-    return [name for name in names if counts[name] <= bench.options.photos.max_features]
+    return [name for name in names if database.place_count(target, name) <= bench.options.photos.max_features]
 
 
 def _search(
@@ -81,19 +80,6 @@ def _search(
         bench.log_file(stage),
         on_line=bench.counter(stage, r"Processed file \[(\d+)/(\d+)\]", "features of photo", part),
     )
-
-
-def _forget_and_search(
-    bench: Bench,
-    stage: str,
-    target: Path,
-    names: Sequence[str],
-    reader: dict[str, object],
-    part: tuple[float, float] = (0.0, 1.0),
-) -> None:
-    """Search images again, with their doubled octave. COLMAP leaves out images that have features."""
-    database.remove_features(target, names)
-    _search(bench, stage, target, names, reader, _DOUBLED, part)
 
 
 def _threads(bench: Bench, each_mb: float) -> int:
