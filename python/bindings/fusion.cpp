@@ -29,18 +29,18 @@ FusedSurface assessed(FusedSurface surface, const DepthPrior& prior, const Polar
 
 void bind_fusion(py::module_& module) {
   py::class_<FusedSurface>(module, "FusedSurface")
-      .def(py::init([](const py::object& depth, const py::object& normals, const py::object& sigma,
-                       const RasterView& view) {
-        FusedSurface surface;
-        surface.depth = given_raster(depth, view.camera.size, 1, "depth");
-        surface.normals = given_raster(normals, view.camera.size, 3, "normals");
-        surface.sigma = given_raster(sigma, view.camera.size, 1, "sigma");
-        surface.camera = view.camera;
-        surface.pose = view.pose;
-        surface.confidence.limit(ConfidenceLevel::partial,
-                                 "The surface was given as arrays: what it was made from is not known.");
-        return surface;
-      }))
+      .def(py::init(
+          [](const py::object& depth, const py::object& normals, const py::object& sigma, const RasterView& view) {
+            FusedSurface surface;
+            surface.depth = given_raster(depth, view.camera.size, 1, "depth");
+            surface.normals = given_raster(normals, view.camera.size, 3, "normals");
+            surface.sigma = given_raster(sigma, view.camera.size, 1, "sigma");
+            surface.camera = view.camera;
+            surface.pose = view.pose;
+            surface.confidence.limit(ConfidenceLevel::partial,
+                                     "The surface was given as arrays: what it was made from is not known.");
+            return surface;
+          }))
       .def_property_readonly("depth", raster(&FusedSurface::depth))
       .def_property_readonly("normals", raster(&FusedSurface::normals))
       .def_property_readonly("sigma", raster(&FusedSurface::sigma))

@@ -50,8 +50,8 @@ std::vector<std::optional<Foot>> feet_of(std::span<const Eigen::Vector3d> points
   return feet;
 }
 
-/// Whether most of the reference's places face away from the camera, which cannot see them so: the triangles of its mesh
-/// are clockwise, or the normals of its cloud point inward.
+/// Whether most of the reference's places face away from the camera, which cannot see them so: the triangles of its
+/// mesh are clockwise, or the normals of its cloud point inward.
 bool is_inside_out(std::span<const std::optional<Foot>> feet, const Eigen::Vector3d& camera_center) {
   std::ptrdiff_t all = 0, away = 0;
   for (const std::optional<Foot>& foot : feet) {

@@ -123,8 +123,8 @@ ProfileFigures section(const ProfileSpec& profile, const Image<float>& prior, co
   for (std::size_t k = 0; k < pixels.size(); ++k) {
     figures.position_px.push_back((pixels[k] - pixels.front()).norm());
     const bool only_prior = !points[k].allFinite() && !of_prior.empty();
-    figures.position.push_back(chord->position_of(only_prior ? of_prior[k] : points[k],
-                                                  camera.ray(pixels[k].x(), pixels[k].y())));
+    figures.position.push_back(
+        chord->position_of(only_prior ? of_prior[k] : points[k], camera.ray(pixels[k].x(), pixels[k].y())));
   }
   figures.prior = heights_at(prior, pixels, camera, chord->plane);
   figures.polarization = heights_at(polarization, pixels, camera, chord->plane);

@@ -193,9 +193,10 @@ HeightFigures describe_height(const HeightMap& height) {
 void warn_of_missing_sections(const Quality& quality, const Context& context) {
   for (const PatchFigures& patch : quality.patches) {
     if (patch.fused) continue;
-    context.log(LogLevel::warning, "[[patch]] \"" + patch.name +
-                                       "\": ten pixels of the surface or fewer lie in its box, expected more: it has no "
-                                       "figures");
+    context.log(LogLevel::warning,
+                "[[patch]] \"" + patch.name +
+                    "\": ten pixels of the surface or fewer lie in its box, expected more: it has no "
+                    "figures");
   }
   for (const ProfileFigures& profile : quality.profiles) {
     if (profile.status == ProfileStatus::done) continue;

@@ -29,8 +29,8 @@ struct CoverageFigures {
 };
 
 /// What fusion changed, measured without a reference. "Detail" is depth, less the plane that fits the fused one, minus
-/// its Gaussian mean (detail_sigma_px); RMS and MAD (1.4826 × median of the absolute value), in GSD. More detail is more
-/// relief or more noise: the patches show which.
+/// its Gaussian mean (detail_sigma_px); RMS and MAD (1.4826 × median of the absolute value), in GSD. More detail is
+/// more relief or more noise: the patches show which.
 struct DetailFigures {
   double difference_rms_gsd = 0;   ///< fused − prior, mean removed
   double difference_bias_gsd = 0;  ///< median of fused − prior

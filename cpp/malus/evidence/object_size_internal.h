@@ -18,9 +18,9 @@ struct ObjectSize {
 };
 
 /// points_in_cam: points of the object in front of the camera, in its frame, at least one. Unlikely are objects below 1
-/// mm or above 100 m, distances below 5 mm or above 200 m, and angles of view below 0.3° (of the image that this one may
-/// be cut from) or above 140°. A caution says where depths in single precision are too coarse for normals, as with focal
-/// lengths of half a million pixels.
+/// mm or above 100 m, distances below 5 mm or above 200 m, and angles of view below 0.3° (of the image that this one
+/// may be cut from) or above 140°. A caution says where depths in single precision are too coarse for normals, as with
+/// focal lengths of half a million pixels.
 ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const Pinhole& camera,
                        const std::string& unit);
 

@@ -46,8 +46,7 @@ Expected prior_cost(const Workload& work) {
   // Large surfaces are smoothed in parts, whose number alone grows.
   constexpr double all_mpx = 18, megabytes_per_further_mpx = 54;
   if (is_cloud)
-    cost.megabytes -=
-        (cloud.megabytes_per_mpx - megabytes_per_further_mpx) * std::max(work.object_mpx - all_mpx, 0.0);
+    cost.megabytes -= (cloud.megabytes_per_mpx - megabytes_per_further_mpx) * std::max(work.object_mpx - all_mpx, 0.0);
   return cost;
 }
 

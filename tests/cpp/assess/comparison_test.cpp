@@ -138,8 +138,8 @@ TEST(Comparison, TheOutsideOfAReferenceTurnedInsideOutFacesTheCamera) {
 TEST(Comparison, TheOutsideOfAClosedMeshOfClockwiseTrianglesIsThatOfTheSurface) {
   TriangleMesh clockwise = cube();
   for (auto& triangle : clockwise.triangles) std::swap(triangle[1], triangle[2]);
-  const std::vector<Eigen::Vector3d> outside{{0, 0, 0.6}, {0, -0.7, 0}, {0.4, 0, 0}}, directions{
-      {0, 0, 1}, {0, -1, 0}, {1, 0, 0}};
+  const std::vector<Eigen::Vector3d> outside{{0, 0, 0.6}, {0, -0.7, 0}, {0.4, 0, 0}},
+      directions{{0, 0, 1}, {0, -1, 0}, {1, 0, 0}};
   for (const TriangleMesh& reference : {cube(), clockwise}) {
     const std::vector<float> found = distances_from_reference(outside, directions, reference, 1, {}, {});
     EXPECT_NEAR(found[0], 0.1, 1e-6);

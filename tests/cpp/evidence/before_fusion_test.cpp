@@ -117,7 +117,8 @@ TEST(ObjectSize, DescribesTheSizeAndSuggestsUnitOrFocalLength) {
 }
 
 TEST(ObjectSize, OfARoundObjectIsItsDiameter) {
-  // Without the outermost hundredths of its points a coin of 26 mm was one of 24.2 mm. A few wrong depths change nothing.
+  // Without the outermost hundredths of its points a coin of 26 mm was one of 24.2 mm. A few wrong depths change
+  // nothing.
   const Pinhole camera{{1000, 800}, 2000, 2000, 500, 400};
   std::vector<Eigen::Vector3d> coin, ball;
   for (int v = 0; v < 800; v += 2) {
