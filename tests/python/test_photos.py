@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 import malus as package
@@ -665,35 +666,58 @@ def test_photos_are_searched_at_twice_their_size_only_if_they_lack_features(tmp_
         assert base.execute("SELECT COUNT(*) FROM cameras").fetchone() == (1,)
 
 
-def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
-    """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
-    file = tmp_path / "features.db"
-    keypoints = np.array([[0.9, 0.9], [1.1, 0.9], [2.5, 1.5], [4.0, 2.0]], np.float32)
-    points = np.hstack([keypoints, np.ones((4, 4), np.float32)])
-    descriptors = np.repeat(np.arange(4, dtype=np.uint8), 128).reshape(4, 128)
+def write_features(file: Path, points: dict[str, NDArray[np.floating]]) -> None:
+    """A database of COLMAP's with keypoints (N×6) by image; all values of a descriptor are its keypoint's number."""
     with closing(sqlite3.connect(file)) as base, base:
         base.executescript(
             "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
             "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
             "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
         )
-        for number, name in enumerate(("view%201.jpg", "other.jpg", "plain.jpg"), 1):
-            some = 4 if number < 3 else 0
+        for number, (name, some) in enumerate(points.items(), 1):
+            descriptors = np.repeat(np.arange(len(some), dtype=np.uint8), 128)
             base.execute("INSERT INTO images VALUES (?, ?, 1)", (number, name))
-            base.execute("INSERT INTO keypoints VALUES (?, ?, 6, ?)", (number, some, points[:some].tobytes()))
-            base.execute("INSERT INTO descriptors VALUES (?, ?, 128, ?)", (number, some, descriptors[:some].tobytes()))
+            base.execute(
+                "INSERT INTO keypoints VALUES (?, ?, 6, ?)", (number, len(some), some.astype(np.float32).tobytes())
+            )
+            base.execute("INSERT INTO descriptors VALUES (?, ?, 128, ?)", (number, len(some), descriptors.tobytes()))
+
+
+def test_features_outside_a_mask_do_not_count(tmp_path: Path) -> None:
+    """COLMAP's coordinates: the first pixel reaches from 0 to 1."""
+    file = tmp_path / "features.db"
+    keypoints = np.array([[0.9, 0.9], [1.1, 0.9], [2.5, 1.5], [4.0, 2.0]], np.float32)
+    points = np.hstack([keypoints, np.ones((4, 4), np.float32)])
+    write_features(file, {"view%201.jpg": points, "other.jpg": points, "plain.jpg": points[:0]})
     mask = np.zeros((2, 4), np.uint8)
     mask[0, 1] = mask[1, 3] = 255
     for name in ("view 1.jpg", "plain.jpg", "none.jpg"):
-        database.keep_features(file, name, mask)
+        database.keep_features(file, name, 4, mask)
     assert database.feature_counts(file) == {"view 1.jpg": 2, "other.jpg": 4, "plain.jpg": 0}
     kept = database.read_descriptors(file)
     assert kept["view 1.jpg"][:, 0].tolist() == [1, 3] and len(kept["other.jpg"]) == 4
     with closing(sqlite3.connect(file)) as base:
         (data,) = base.execute("SELECT data FROM keypoints WHERE image_id = 1").fetchone()
     np.testing.assert_array_equal(np.frombuffer(data, np.float32).reshape(2, 6), points[[1, 3]])
-    database.keep_features(file, "other.jpg", np.zeros((2, 4), np.uint8))
+    database.keep_features(file, "other.jpg", 4, np.zeros((2, 4), np.uint8))
     assert database.feature_counts(file)["other.jpg"] == 0
+
+
+def test_no_more_features_are_kept_than_asked_for(tmp_path: Path) -> None:
+    """The largest ones inside the mask, in their order. A feature's four last numbers are an affine shape."""
+    file = tmp_path / "features.db"
+    sizes = np.array([3, 1, 4, 1.5, 5, 2], np.float32)
+    places = np.column_stack([np.arange(6) + 0.5, np.full(6, 0.5)])
+    # Turned by 30 degrees, and by 90, where all of the scale is off the diagonal.
+    turn = np.radians([30, 30, 30, 30, 90, 90])
+    shapes = sizes[:, None] * np.column_stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)])
+    write_features(file, {"all.jpg": np.hstack([places, shapes]), "masked.jpg": np.hstack([places, shapes])})
+    database.keep_features(file, "all.jpg", 3)
+    database.keep_features(file, "masked.jpg", 3, np.array([[1, 1, 1, 1, 0, 1]], np.uint8))
+    kept = database.read_descriptors(file)
+    assert kept["all.jpg"][:, 0].tolist() == [0, 2, 4]
+    assert kept["masked.jpg"][:, 0].tolist() == [0, 2, 5]
+    assert database.feature_counts(file) == {"all.jpg": 3, "masked.jpg": 3}
 
 
 @pytest.mark.parametrize("turntable", [True, False])
@@ -704,14 +728,18 @@ def test_masks_hide_the_background_on_a_turntable_only(
     for name in ("a.png", "b.png"):
         _core.write_png(str(tmp_path / name), np.full((8, 12), 255, np.uint8))
         photos.append(Photo(name, tmp_path / name, 12, 8, mask=tmp_path / name if name == "a.png" else None))
-    hidden: list[tuple[str, int]] = []
+    hidden: list[tuple[str, int, int | None]] = []
     monkeypatch.setattr(photo_cameras, "find_features", lambda *_: None)
-    monkeypatch.setattr(database, "keep_features", lambda _, name, mask: hidden.append((name, int((mask != 0).sum()))))
+    monkeypatch.setattr(
+        database,
+        "keep_features",
+        lambda _, name, most, mask: hidden.append((name, most, None if mask is None else int((mask != 0).sum()))),
+    )
     monkeypatch.setattr(database, "feature_counts", lambda _: {"a.png": 300, "b.png": 300})
     journal = Journal(tmp_path, print)
     bench = Bench(None, tmp_path, journal, package.Options(), print, print, turntable)  # type: ignore[arg-type]
     photo_cameras._find_features(bench, photo_cameras.group_by_camera(photos, None))
-    assert hidden == ([("a.png", 96)] if turntable else [])
+    assert hidden == [("a.png", 8192, 96 if turntable else None), ("b.png", 8192, None)]
     assert list(photo_cameras._masks(bench, photos)) == (["masks"] if turntable else [])
 
 

@@ -96,8 +96,8 @@ def read_descriptors(database: Path) -> dict[str, NDArray[np.uint8]]:
         return {name: found.get(name, np.empty((0, 128), np.uint8)) for name in names.values()}
 
 
-def keep_features(database: Path, image: str, mask: NDArray[np.uint8]) -> None:
-    """Remove the features of an image that lie outside a mask (H×W of the image's size, non-zero = inside)."""
+def keep_features(database: Path, image: str, most: int, mask: NDArray[np.uint8] | None = None) -> None:
+    """Keep the largest features of an image, at most `most`, of those inside a mask (H×W of the image's size, non-zero = inside)."""
     with closing(sqlite3.connect(database)) as connection, connection:
         found = connection.execute(
             "SELECT image_id, keypoints.cols, keypoints.data, descriptors.cols, descriptors.data FROM images "
@@ -108,16 +108,24 @@ def keep_features(database: Path, image: str, mask: NDArray[np.uint8]) -> None:
             return
         number, columns, points, length, descriptors = found
         keypoints = np.frombuffer(points, "<f4").reshape(-1, columns)
-        height, width = mask.shape
-        # In COLMAP's coordinates the first pixel reaches from 0 to 1.
-        u, v = (np.clip(keypoints[:, k].astype(np.int64), 0, side - 1) for k, side in ((0, width), (1, height)))
-        inside = mask[v, u] != 0
-        for table, kept in (
-            ("keypoints", keypoints[inside]),
-            ("descriptors", np.frombuffer(descriptors, np.uint8).reshape(-1, length)[inside]),
+        kept = np.arange(len(keypoints))
+        if mask is not None:
+            height, width = mask.shape
+            # In COLMAP's coordinates the first pixel reaches from 0 to 1.
+            u, v = (np.clip(keypoints[:, k].astype(np.int64), 0, side - 1) for k, side in ((0, width), (1, height)))
+            kept = np.flatnonzero(mask[v, u])
+        if len(kept) > most:
+            # After x and y come the four numbers of an affine shape, whose determinant is the square of the scale.
+            a, b, c, d = keypoints[kept, 2:6].T
+            kept = np.sort(kept[np.argsort(-np.abs(a * d - b * c), kind="stable")[:most]])
+        if len(kept) == len(keypoints):
+            return
+        for table, rows in (
+            ("keypoints", keypoints[kept]),
+            ("descriptors", np.frombuffer(descriptors, np.uint8).reshape(-1, length)[kept]),
         ):
             connection.execute(
-                f"UPDATE {table} SET rows = ?, data = ? WHERE image_id = ?", (len(kept), kept.tobytes(), number)
+                f"UPDATE {table} SET rows = ?, data = ? WHERE image_id = ?", (len(kept), rows.tobytes(), number)
             )
 
 

@@ -282,8 +282,9 @@ def _find_features(bench: Bench, groups: Sequence[CameraGroup]) -> dict[str, Any
     for group in groups:
         find_features(bench, "features", target, [photo.name for photo in group.photos], group.reader())
         for photo in group.photos:
-            if bench.inside_masks and photo.mask is not None:
-                database.keep_features(target, photo.name, _core.read_mask(str(photo.mask)))
+            is_masked = bench.inside_masks and photo.mask is not None
+            mask = _core.read_mask(str(photo.mask)) if is_masked else None
+            database.keep_features(target, photo.name, bench.options.photos.max_features, mask)
     counts = database.feature_counts(target)
     return {"counts": {photo.name: counts.get(photo.name, 0) for group in groups for photo in group.photos}}
 

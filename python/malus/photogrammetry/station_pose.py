@@ -107,8 +107,7 @@ def _place(
     for image, view in stations.items():
         _core.write_png(str(bench.images / image), pixels[image])
         find_features(bench, "station", source, [image], _reader(view, source))
-        if view.mask is not None:
-            database.keep_features(source, image, view.mask)
+        database.keep_features(source, image, bench.options.photos.max_features, view.mask)
     matches = _match(bench, source, photos, list(stations))
     best = max(matches.values(), key=lambda found: max(found.values(), default=0))
     of_titles = {titled(image, stations): count for image, count in best.items()}
