@@ -735,6 +735,7 @@ TEST(PriorOfDepthMap, FillsHolesWithTheShapeItWasMeasuredAbout) {
   const auto project_swept = [&] { return project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {}); };
   const DepthPrior with_shape = project_swept();
   EXPECT_TRUE(with_shape.shares_windows);
+  EXPECT_NEAR(with_shape.noise, 0.2 * gsd_mm, 0.05 * gsd_mm) << "the stated one: depths in a plane hardly scatter";
   EXPECT_NEAR(with_shape.filled_fraction, 12 * 12 * 3.14159 / static_cast<double>(swept.depth.count()), 0.005);
   EXPECT_LT(rms_gsd(with_shape.depth, truth), 0.1);
   EXPECT_NEAR(with_shape.depth(50, 40), truth(50, 40), 0.3 * gsd_mm);
