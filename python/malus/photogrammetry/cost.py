@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from malus.options import Options
 from malus.photogrammetry.features import sift_mb
 
-# Processor seconds, by two runs: 12 photos and a station of .6 megapixels, and 40 photos and a station of 18 (decision 71).
+# Processor seconds, by runs of 12 photos and a station of .6 megapixels, and of 40 photos and a station of 18 (decision 71).
 #: Copies and windows.
 _SECONDS_A_MEGAPIXEL, _SECONDS_A_PHOTO = 0.36, 3.6
 #: SIFT, on the photo as it is and at twice its size.
 _SIFT_SECONDS, _DOUBLED_SIFT_SECONDS = 1.1, 3.4
 #: Verification and mapping, by the number of features; comparison of descriptors, by its square; of 8192 features.
-_SECONDS_A_PAIR, _COMPARISON_SECONDS_A_PAIR = 1.3, 0.5
+_SECONDS_A_PAIR, _COMPARISON_SECONDS_A_PAIR = 0.95, 0.4
 _FEATURES = 8192
 #: Features that textured photos have in a megapixel, searched at twice its size; a quarter of them without that.
 _FEATURES_A_MEGAPIXEL = 7600
