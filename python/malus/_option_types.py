@@ -450,9 +450,9 @@ class RefineSection(Section):
     surroundings_iterations: int
     """number of rounds, of one step each, if a map of the surroundings is fitted: map and surface converge slowly together"""
     fine_iterations: int
-    """rounds at full resolution after those at half the resolution, if the search runs; with a map of the surroundings one more; otherwise one round is enough"""
+    """rounds at full resolution after those at half the resolution; with a map of the surroundings one more"""
     coarsest_px: float
-    """objects are first refined at half the resolution and, if the search runs or a map of the surroundings is fitted, before that at half of it, and so on, as long as the square root of their number of pixels is at least this (with a map 1.5 times this), in px"""
+    """if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, before that at half of it, and so on, as long as the square root of their number of pixels is at least this (with a map 1.5 times this), in px"""
     more_iterations: int
     """largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD"""
     steps: int

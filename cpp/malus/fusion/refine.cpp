@@ -43,14 +43,10 @@ class Rounds {
     // A map and the surface converge slowly together, above all in waves of many pixels (decision 119).
     constexpr double side_with_map = 1.5;
     const double coarsest_px = (with_map ? side_with_map : 1) * options_.coarsest_px;
-    // Others gain nothing by starting coarser than that: their error is detail of few pixels.
-    const bool converges_slowly = searches_ || with_map, is_first_level = refinement_.binning == 1;
-    if ((converges_slowly || is_first_level) && side_of_set(image_.object) >= 2 * coarsest_px) {
+    if ((searches_ || with_map) && side_of_set(image_.object) >= 2 * coarsest_px) {
       run_at_half();
-      one_step_ = !converges_slowly;
-      rounds_ = converges_slowly ? options_.fine_iterations + (with_map ? 1 : 0) : 1;
+      rounds_ = options_.fine_iterations + (with_map ? 1 : 0);
       for (int i = 0; i < rounds_; ++i) round(1, true, true);
-      one_step_ = false;
     } else {
       // The graduated start of mirrors needs one more round.
       const int first_rounds =
@@ -107,7 +103,7 @@ class Rounds {
   SolveStatistics solve_strip(const StripField& strip, const std::vector<Tile>& tiles, BlendedTiles& blended) {
     // One step per solve while the shared parameters still come from the prior's slopes. A map changes in every round.
     constexpr std::size_t careful_rounds = 2;
-    const bool careful = one_step_ || image_.reflection.mirrored || report_.iterations.size() < careful_rounds;
+    const bool careful = image_.reflection.mirrored || report_.iterations.size() < careful_rounds;
     // Without this weight, errors that a map of hundreds of cells cannot explain would move the slopes.
     constexpr double slope_weight = 4;
     const TileOptions solver{careful ? 1 : options_.steps, options_.smoothness,
@@ -210,7 +206,6 @@ class Rounds {
   int rounds_ = 1, done_ = 0;
   std::size_t tiles_done_ = 0;  ///< in this round
   bool searching_ = false;
-  bool one_step_ = false;  ///< the start is close, from half the resolution
   SolveStatistics total_;
 };
 

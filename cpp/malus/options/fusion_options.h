@@ -96,12 +96,12 @@ struct RefineOptions {
           "number of rounds, of one step each, if a map of the surroundings is fitted: map and surface converge slowly "
           "together");
     visit("fine_iterations", self.fine_iterations, Range{1, 50},
-          "rounds at full resolution after those at half the resolution, if the search runs; with a map of the "
-          "surroundings one more; otherwise one round is enough");
-    visit("coarsest_px", self.coarsest_px, Range{16, 1e9},
-          "objects are first refined at half the resolution and, if the search runs or a map of the surroundings is "
-          "fitted, before that at half of it, and so on, as long as the square root of their number of pixels is at "
-          "least this (with a map 1.5 times this), in px");
+          "rounds at full resolution after those at half the resolution; with a map of the surroundings one more");
+    visit(
+        "coarsest_px", self.coarsest_px, Range{16, 1e9},
+        "if the search runs or a map of the surroundings is fitted, objects are first refined at half the resolution, "
+        "before that at half of it, and so on, as long as the square root of their number of pixels is at least this "
+        "(with a map 1.5 times this), in px");
     visit("more_iterations", self.more_iterations, Range{0, 50},
           "largest number of further rounds at the end, while the surface still moves by more than 0.5 GSD");
     visit("steps", self.steps, Range{1, 50}, "Gauss-Newton steps in each round; the first two rounds take one");

@@ -89,7 +89,7 @@ Expected grid_cost(const Workload& work) {
 }
 
 Expected refined_cost(const Workload& work) {
-  Expected cost = expected({50, 0.96, 50, 0}, work.object_mpx, work.threads);
+  Expected cost = expected({54, 0.96, 50, 0}, work.object_mpx, work.threads);
   // Memory of the field of a strip, and of a tile's problem for each thread.
   constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
   const RefineOptions& options = work.options.refine;

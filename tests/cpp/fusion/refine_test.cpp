@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <vector>
 
 #include "malus/core/error.h"
 #include "malus/fusion/refine_internal.h"
@@ -38,22 +37,6 @@ TEST(Refine, FindsTheBumpsOfADiffuseSurface) {
   EXPECT_EQ(result.surface.method, Fusion::refined);
   EXPECT_EQ(result.surface.status, FusionStatus::converged);
   EXPECT_EQ(result.report.iterations.size(), 2u);
-}
-
-TEST(Refine, ALargerMatteObjectStartsAtHalfTheResolution) {
-  SyntheticOptions scene;
-  scene.model.environment.radiance.fill(0.1);
-  scene.size = {112, 96};
-  const SyntheticStation station = make_station(scene);
-  RefineOptions options = quick();
-  options.coarsest_px = 24;  // would allow to start at a quarter, too
-  const RefineResult halved = refine(station.state, station.prior, {}, options, Context{});
-  std::vector<int> binnings;
-  for (const RefineIteration& round : halved.report.iterations) binnings.push_back(round.binning);
-  EXPECT_EQ(binnings, (std::vector{2, 2, 1}));
-  EXPECT_EQ(halved.report.iterations.back().accepted_steps, halved.report.iterations.back().tiles);
-  EXPECT_LT(rms_error_gsd(halved.surface.depth, station.truth, station.prior.camera),
-            0.5 * rms_error_gsd(station.prior.depth, station.truth, station.prior.camera));
 }
 
 TEST(Refine, FindsTheBumpsOfASpecularSurface) {
