@@ -17,7 +17,8 @@ struct DepthPrior {
   // Provenance of the prior, for quality.json.
   double points_total = 0;      ///< number of points in the file
   double points_used = 0;       ///< number of visible points that are inliers
-  double noise = 0;             ///< standard deviation of a point, or of a raster's depth, station unit; 0 = none
+  double noise = 0;             ///< standard deviation of a point, or of a raster's or sweep's depth, station
+                                ///< unit; 0 = none
   double spacing_px = 0;        ///< median distance of neighboring points in the view; of a raster, that of pixels
                                 ///< whose errors are independent
   double smoothing_px = 0;      ///< smoothing length that was used; 0 = none, or not known

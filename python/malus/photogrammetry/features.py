@@ -27,8 +27,8 @@ def sift_mb(sizes: Sequence[tuple[int, int]], max_side_px: int, first_octave: in
 def find_features(bench: Bench, stage: str, target: Path, names: Sequence[str], reader: dict[str, object]) -> None:
     """Find the features of images that share one camera, which `reader` (ImageReader.*) describes.
 
-    Of an image with more features than photos.max_features COLMAP keeps the largest: whole levels of scale, with that number of places
-    at least, and often half as many more (see `database.keep_features`). So an image that has enough without its
+    Of an image with more features than photos.max_features COLMAP keeps the largest: whole levels of scale, with that number of
+    places at least, and often half as many features more (see `database.keep_features`). So an image that has enough without its
     doubled octave would lose that octave's features anyway, and is not searched at twice its size. The first image tells whether
     it is worth trying on the others.
     """
