@@ -8,10 +8,12 @@ writes these fields of all points to standard output, point after point, in thes
 from __future__ import annotations
 
 import importlib
+import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,26 +39,46 @@ def decoded(path: Path, kind: np.dtype[np.void]) -> NDArray[np.void]:
         raise MemoryError
     if done.returncode != 0:
         said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise ValueError(
-            said[-1] if done.returncode > 0 and said else f"it ends its decoder, signal {-done.returncode}"
-        )
+        refused = [line for line in said if line.startswith("memory allocation")]
+        if done.returncode > 0 or refused:
+            raise ValueError((refused or said or ["damaged"])[-1])
+        raise ValueError(f"it ends its decoder, signal {-done.returncode}")
     return np.frombuffer(done.stdout, kind)
 
 
-def _decode(path: str, fields: list[str]) -> None:
+def answer(path: str, fields: list[str], out: BinaryIO) -> int | str:
+    """Write the points to `out`; returns what the process ends with: 0, `_NO_MEMORY`, or what is wrong with the file."""
+    try:
+        _decode(path, fields, out)
+    except (MemoryError, ImportError):  # the process that asks has the libraries: here was no room for them
+        return _NO_MEMORY
+    except Exception as error:  # whatever a damaged file causes
+        return str(error)
+    return 0
+
+
+def _decode(path: str, fields: list[str], out: BinaryIO) -> None:
     laspy = importlib.import_module("laspy")
     kind = np.dtype([(name, type_) for name, type_ in (field.split("=") for field in fields)])
     # Not the backend laszip, which laspy would try next: more damaged files end its process.
     backends = (laspy.LazBackend.LazrsParallel, laspy.LazBackend.Lazrs)
     with laspy.open(path, laz_backend=backends, read_evlrs=False) as reader:
+        at_once = min(reader.header.point_count, _AT_ONCE) * (reader.header.point_format.size + kind.itemsize)
+        _limit_memory(10 * Path(path).stat().st_size + 4 * at_once)
         for points in reader.chunk_iterator(_AT_ONCE):
-            sys.stdout.buffer.write(records_of(points, kind).tobytes())
+            out.write(records_of(points, kind).tobytes())
+
+
+def _limit_memory(more: int) -> None:
+    """Let this process have so many bytes more, and 64 MB, and what the decoder's threads take: of a damaged file it would take any
+    number that the file states, and fill it with zeros.
+    """
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    of_threads = 8_000_000 * (os.cpu_count() or 1)
+    wanted = int(status["VmData"].split()[0]) * 1024 + 64_000_000 + of_threads + more
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 
 if __name__ == "__main__":
-    try:
-        _decode(sys.argv[1], sys.argv[2:])
-    except (MemoryError, ImportError):  # the process that asks has the libraries: here was no room for them
-        sys.exit(_NO_MEMORY)
-    except Exception as error:  # whatever a damaged file causes
-        sys.exit(str(error))
+    sys.exit(answer(sys.argv[1], sys.argv[2:], sys.stdout.buffer))

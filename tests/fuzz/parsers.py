@@ -16,12 +16,13 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import atheris
 
 with atheris.instrument_imports(include=["malus", "PIL", "laspy", "pye57", "tomlkit"]):
-    from malus import _files, campaign, exif, raw, scans, station_import
+    from malus import _files, _laz, campaign, exif, raw, scans, station_import
     from malus.errors import MalusError
     from malus.object import Object
     from malus.photogrammetry import metashape
@@ -29,6 +30,7 @@ with atheris.instrument_imports(include=["malus", "PIL", "laspy", "pye57", "toml
     from malus.studio.document import StationDocument
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "python"))
+from laz_decoder import Decoder
 from stations import write_inputs
 
 from e57_pages import as_file
@@ -125,6 +127,8 @@ def main() -> None:
 def fuzz(target: str, words: list[str]) -> None:
     """Fuzz a target; libFuzzer ends the process."""
     read = TARGETS[target]
+    if target == "laz":
+        _laz.subprocess = SimpleNamespace(run=Decoder())
 
     def one_input(data: bytes) -> None:
         try:

@@ -496,6 +496,24 @@ def test_a_laz_file_that_ends_its_decoder_is_refused(tmp_path: Path, cloud: tupl
         read_scan(path, "mm")
 
 
+def test_a_laz_file_takes_no_memory_that_its_size_does_not_explain(
+    tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """One of its layers states gigabytes: the decoder filled them with zeros, which took seconds."""
+    pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    path = tmp_path / "cloud.laz"
+    write_las(path, *cloud)
+    whole = bytearray(path.read_bytes())
+    start, length = int.from_bytes(whole[96:100], "little"), int.from_bytes(whole[105:107], "little")
+    # The place of the table, the first point, the number of points; then the sizes of the layers.
+    sizes = start + 8 + length + 4
+    whole[sizes + 20 : sizes + 24] = (0x7F000000).to_bytes(4, "little")
+    path.write_bytes(whole)
+    with pytest.raises(malus.InputError, match=r"cloud\.laz: .*memory allocation of 2130706432 bytes failed"):
+        read_scan(path, "mm")
+
+
 def test_points_that_are_not_finite_are_refused(tmp_path: Path, cloud: tuple[np.ndarray, np.ndarray]) -> None:
     """As in PLY and text. The message names the user's file, not one that was made of it."""
     pytest.importorskip("pye57")
