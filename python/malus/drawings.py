@@ -104,6 +104,7 @@ def write_dxf(path: Path, layers: list[Layer], unit: str, words: Mapping[str, st
     ezdxf = extra("ezdxf", "ezdxf", f"{path}: DXF")
     document = ezdxf.new("R2010", setup=False)
     document.header["$INSUNITS"] = _DXF_UNITS[unit]
+    document.header["$MEASUREMENT"] = 0 if unit in ("in", "ft") else 1
     for name, value in words.items():
         document.header.custom_vars.append(name, value)
     space = document.modelspace()

@@ -25,6 +25,7 @@ from conftest import ROOT, malus_here, malus_station, run_program
 from conftest import malus as run_malus
 from malus import _core, drawings, exported, exports, rti, scans, xmp
 from malus._files import read_record
+from malus.exports import maps
 from malus.object import arrays
 from malus.raster import sample
 from malus.rti import write_ptm
@@ -123,6 +124,17 @@ def test_dem_written_from_python_equals_that_of_the_run(workspace: malus.Workspa
     assert (tmp_path / "dem.tif").read_bytes() == workspace.path("fused/dem.tif").read_bytes()
     with pytest.raises(malus.InputError, match="furlong"):
         malus.surface.write_dem(tmp_path / "other.tif", dem, unit="furlong", name="small")
+
+
+def test_an_elevation_model_that_the_run_left_out_is_told_with_its_reason(
+    workspace: malus.Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reason = "no fused/dem.tif: its plane is seen edge-on"
+    monkeypatch.delitem(workspace.outputs, "fused/dem.tif")
+    monkeypatch.setitem(workspace.quality, "warnings", [reason])
+    with pytest.raises(malus.InputError, match=reason):
+        maps.export_dem(exports.Exporter(workspace), tmp_path / "dem.tif")
+    assert not (tmp_path / "dem.tif").exists()
 
 
 def test_obj_reads_back_with_its_texture(workspace: malus.Workspace, points: np.ndarray, tmp_path: Path) -> None:
@@ -654,6 +666,7 @@ def test_contours_lie_at_their_height(workspace: malus.Workspace, tmp_path: Path
         ezdxf = pytest.importorskip("ezdxf")
         document = ezdxf.readfile(path)
         assert document.header["$INSUNITS"] == 4  # mm
+        assert document.header["$MEASUREMENT"] == 1  # metric
         lines = [np.array(list(p.points())) for p in document.modelspace().query("POLYLINE")]
         every = np.concatenate(lines)
         assert np.allclose(every[:, 2] % 0.5, 0, atol=1e-9) or np.allclose(every[:, 2] % 0.5, 0.5, atol=1e-9)

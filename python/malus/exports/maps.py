@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._extra import extra
 from malus._files import replacing, write_text
+from malus.errors import InputError
 from malus.exports.exporter import Exporter
 from malus.object import arrays
 from malus.rti import normal_levels
@@ -19,9 +20,13 @@ from malus.xmp import save_png, tag_png, tag_tiff
 
 
 def export_dem(exporter: Exporter, path: Path) -> None:
-    """The elevation model of the workspace as GeoTIFF."""
+    """The elevation model of the workspace as GeoTIFF; InputError if the run left it out."""
+    workspace = exporter.workspace
+    if workspace.has("fused/surface.ply") and not workspace.has("fused/dem.tif"):
+        said = [warning for warning in workspace.quality["warnings"] if "fused/dem.tif" in warning]
+        raise InputError(f"{workspace.folder}: {said[0] if said else 'no fused/dem.tif'}")
     with replacing(path) as temporary:
-        shutil.copyfile(exporter.workspace.path("fused/dem.tif"), temporary)
+        shutil.copyfile(workspace.path("fused/dem.tif"), temporary)
         tag_tiff(temporary, exporter.xmp())
 
 
