@@ -2,6 +2,7 @@
 
     python benchmarks/harm.py STATION… --executable malus-station -o OUT [--jobs 2] [--draws 1] [--seed 1]
     python benchmarks/harm.py --renders DIR… [--count 200] --executable malus-station -o OUT [--jobs 2] [--seed 1]
+    python benchmarks/harm.py --from-photos STATION… --executable malus -o OUT [--jobs 2]
 
 STATION: folders of rendered stations (`random_stations.py`, or of rendered/renderer/render.py). For each station a variant is drawn
 (`station_variants.py`): half of the variants are correct, a quarter have a wrong prior, a quarter a wrong setting.
@@ -10,6 +11,9 @@ STATION: folders of rendered stations (`random_stations.py`, or of rendered/rend
 So --count random stations are made from the renders below these folders. Objects are drawn in random order; no object is drawn again
 before all were drawn once. Of an object in the round, one of its stations is drawn. Each station gets the noise of a random sensor and a
 variant as above. Scene, light and material are those of the renders: "own" in the table of lights means the scene's own light.
+
+--from-photos: correct stations whose coarse surface Malus makes from their photographs; the renders need enough of these, e.g. ten
+(`random_stations.py --photos 10`).
 
 Each station is run. Prior and fused surface are compared with the truth on the pixels where both have a depth, with the definitions of
 rendered/score.py:
@@ -177,6 +181,12 @@ def tasks_of_renders(folders: list[Path], count: int, seed: int) -> list[Task]:
     return tasks
 
 
+def tasks_from_photos(stations: list[Path]) -> list[Task]:
+    """The stations with photographs in place of their clouds."""
+    variant = Variant("correct", station_variants.FROM_PHOTOS)
+    return [Task(station, name_of(station), 0, variant) for station in stations]
+
+
 def run(task: Task, args: argparse.Namespace) -> Result:
     """Write, run and score a variant of a station."""
     station, name, draw, variant = task.station, task.name, task.draw, task.variant
@@ -188,8 +198,13 @@ def run(task: Task, args: argparse.Namespace) -> Result:
         if {key: old.get(key) for key in identity} == identity:
             return old
     shutil.rmtree(folder, ignore_errors=True)
-    toml, work = station_variants.write(station, variant, folder), folder / "work"
-    command = [str(args.executable), str(toml), "-o", str(work), "--until", "assess", "--threads", "1", "--quiet"]
+    work = folder / "work"
+    if variant.name == station_variants.FROM_PHOTOS:
+        folder.mkdir(parents=True)
+        what = ["run", str(station / "station_photos.toml")]  # of `malus`; `malus-station` does not read photographs
+    else:
+        what = [str(station_variants.write(station, variant, folder)), "--until", "assess"]
+    command = [str(args.executable), *what, "-o", str(work), "--threads", "1", "--quiet"]
     try:
         process = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S)
         code, message = process.returncode, process.stderr.strip()
@@ -234,7 +249,7 @@ def is_failure(result: Result) -> bool:
 def row_name(result: Result) -> str:
     """Row of the table: what is wrong; for correct stations, metal or whether the file has the true refractive index."""
     variant = result["variant"]
-    if variant["kind"] != "correct":
+    if variant["name"] != "correct":
         return f"{variant['kind']}: {variant['name']}"
     if result["metal"]:
         return "correct: metal"
@@ -337,6 +352,7 @@ def report(results: list[Result], output: Path) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stations", nargs="*", type=Path)
+    parser.add_argument("--from-photos", action="store_true", help="the stations' coarse surfaces are made from photos")
     parser.add_argument(
         "--renders", nargs="+", type=Path, default=[], metavar="DIR", help="folders of rendered stations"
     )
@@ -349,12 +365,15 @@ def main() -> int:
     args = parser.parse_args()
     args.executable, args.output = args.executable.resolve(), args.output.resolve()
     args.hash = hashlib.sha256(args.executable.read_bytes()).hexdigest()
+    needed = ["station_photos.toml"] if args.from_photos else ["station.toml", "station_noisy.toml"]
     for station in args.stations:
-        if not (station / "station_noisy.toml").exists():
-            parser.error(f"{station}: expected a rendered station with station.toml and station_noisy.toml")
-    tasks = tasks_of_stations(args.stations, args.draws, args.seed) + tasks_of_renders(
-        args.renders, args.count, args.seed
-    )
+        if not all((station / name).exists() for name in needed):
+            parser.error(f"{station}: expected a rendered station with {' and '.join(needed)}")
+    if args.from_photos:
+        tasks = tasks_from_photos(args.stations)
+    else:
+        tasks = tasks_of_stations(args.stations, args.draws, args.seed)
+        tasks += tasks_of_renders(args.renders, args.count, args.seed)
     if not tasks:
         parser.error("no station: expected STATION… or --renders with folders of rendered stations")
     args.output.mkdir(parents=True, exist_ok=True)

@@ -179,8 +179,12 @@ def import_untyped(name: str) -> Any:
     return importlib.import_module(name)
 
 
-def render_one(seed: int, number: int, out: Path, quality: float, scale: int, chances: dict[str, int]) -> bool:
+def render_one(
+    seed: int, number: int, out: Path, quality: float, scale: int, photos: int, chances: dict[str, int]
+) -> bool:
     """Render station `number`, its images `scale` times as wide and high as SIZE; False if it exists already.
+
+    photos: how many photographs are taken, see main().
 
     Ends the program if it was made with other arguments: so were the others, of which each would be such an error.
     """
@@ -192,8 +196,8 @@ def render_one(seed: int, number: int, out: Path, quality: float, scale: int, ch
     light, object_seed = str(random.choice(LIGHTS)), int(random.integers(1, 4_000_000))
     record = out / f"{number:03d}_{name}_{light}" / "random.json"
     noise.FULL_WELL_E, noise.READ_NOISE_E = log_uniform(random, 6000, 40000), log_uniform(random, 3, 20)
-    drawn = dict(seed=seed, number=number, scene=name, light=light, object_seed=object_seed, scale=scale, quality=quality,
-                 full_well_e=noise.FULL_WELL_E, read_noise_e=noise.READ_NOISE_E)  # fmt: skip
+    drawn = dict(seed=seed, number=number, scene=name, light=light, object_seed=object_seed, scale=scale,
+                 quality=quality, photos=photos, full_well_e=noise.FULL_WELL_E, read_noise_e=noise.READ_NOISE_E)  # fmt: skip
     if record.exists():
         present = json.loads(record.read_text())
         if other := [key for key, value in drawn.items() if present.get(key) != value]:
@@ -203,8 +207,9 @@ def render_one(seed: int, number: int, out: Path, quality: float, scale: int, ch
     render.SCENES = {name: changed_scene(scenes.SCENES[name], lights, light, random, drawn)}
     width, height = FIGURINE_SIZE if name == "figurine" else SIZE
     size, view_size = f"{scale * width}x{scale * height}", f"{scale * 300}x{scale * 200}"
-    sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", view_size, "--views", "3",
-                "--view-spp", "6", "--quality", str(quality), "--noisy", "all", "--no-components", "--out", str(record.parent)]  # fmt: skip
+    sys.argv = ["render.py", "--scene", name, "--seed", str(object_seed), "--size", size, "--view-size", view_size,
+                "--views", str(photos or 3), "--view-spp", "24" if photos else "6", "--quality", str(quality),
+                "--noisy", "all", "--no-components", "--out", str(record.parent)]  # fmt: skip
     if light == "constant":  # rays hit this light only by chance: four times the usual samples
         sys.argv += ["--spp", "576"]
     render.main()
@@ -222,6 +227,8 @@ def main() -> int:
     parser.add_argument("--quality", type=float, default=0.4, help="mesh density, as render.py's")
     parser.add_argument("--scale", type=int, default=1, help="images this many times as wide and as high; 3, with --quality 1, is the "
                         "size of render.py's own stations")  # fmt: skip
+    parser.add_argument("--photos", type=int, default=0, help="how many photographs are taken, from which the coarse "
+                        "surface can be made, e.g. 10; 0 = a few noisy ones that nothing is made from")  # fmt: skip
     parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="draw among these alone, with equal chances")
     args = parser.parse_args()
     if args.scale < 1:
@@ -233,7 +240,7 @@ def main() -> int:
     failed = []
     for number in range(args.first, args.first + args.count):
         try:
-            render_one(args.seed, number, args.output, args.quality, args.scale, chances)
+            render_one(args.seed, number, args.output, args.quality, args.scale, args.photos, chances)
         except Exception:  # an object that cannot be rendered does not stop the other stations
             traceback.print_exc()
             failed.append(number)

@@ -32,12 +32,16 @@ CLOUD_SETTINGS = ("unit", "shifted", "turned", "mirrored")
 WRONG_PRIOR = ("bias", "tilt", "scale", *CLOUD_SETTINGS)
 
 
+#: Name of a correct station whose coarse surface is made from its photographs.
+FROM_PHOTOS = "from photos"
+
+
 @dataclass(frozen=True)
 class Variant:
     """The differences from the rendered station."""
 
     kind: str  # "correct", "prior" or "setting"
-    name: str  # what is wrong; "correct"
+    name: str  # what is wrong; "correct", FROM_PHOTOS
     noisy: bool = False  # single frames, each moved, instead of the registered means of 16
     good_cloud: bool = False  # the cloud as if stereo had worked everywhere, if the scene has it
     amount: dict[str, Any] = field(default_factory=dict)

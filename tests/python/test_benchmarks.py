@@ -228,11 +228,13 @@ def test_the_bars_leave_out_wrong_priors_and_metals() -> None:
 
 
 FAKE = """#!{python}
-# Stands in for malus-station: a prior with an error and a fused surface without, or an error message.
+# Stands in for malus-station and for `malus run`: a prior with an error and a fused surface without, or an error message.
 import json, sys, tomllib
 from pathlib import Path
 import numpy as np, tifffile
-station, work = Path(sys.argv[1]), Path(sys.argv[3])
+words = sys.argv[1:]
+place = words.index("-o")
+station, work = Path(words[1 if words[0] == "run" else 0]), Path(words[place + 1])
 if tomllib.loads(station.read_text())["polarized"].get("response") != "linear":
     sys.stderr.write("response is wrong")
     sys.exit(2)
@@ -267,6 +269,17 @@ def test_a_run_from_the_variant_to_the_tables(
     marker.touch()
     assert harm.main() == 0
     assert marker.exists()
+    # From photographs, the station's own file is run.
+    shutil.copy(station / "station.toml", station / "station_photos.toml")
+    arguments = ["harm.py", "--from-photos", str(station), "--executable", str(program), "-o", str(tmp_path / "photos")]
+    monkeypatch.setattr(sys, "argv", arguments)
+    assert harm.main() == 0
+    written = json.loads((tmp_path / "photos/harm.json").read_text())
+    assert written["tables"]["variant"]["correct: from photos"]["gain"] == 1
+    (station / "station_photos.toml").unlink()
+    with pytest.raises(SystemExit):
+        harm.main()
+    assert "station_photos.toml" in capsys.readouterr().err
 
 
 def test_random_stations_are_drawn_from_a_pool_of_renders(station: Path) -> None:
@@ -406,12 +419,15 @@ def test_a_folder_of_random_stations_has_one_size_and_density(
     assert run("--scale 2") == 0 and len(rendered) == 2
     drawn = [json.loads(path.read_text()) for path in (tmp_path / "out").glob("*/random.json")]
     assert all((station["scale"], station["quality"]) == (2, 0.4) for station in drawn) and len(drawn) == 2
+    assert all(station["photos"] == 0 for station in drawn)
     assert "400x300" in rendered[0]
     assert run("--scale 2") == 0 and len(rendered) == 2
     with pytest.raises(SystemExit, match="not made with this scale,"):
         run("--scale 3")
     with pytest.raises(SystemExit, match="not made with this quality,"):
         run("--scale 2 --quality 1")
+    with pytest.raises(SystemExit, match="not made with this photos,"):
+        run("--scale 2 --photos 10")
     with pytest.raises(SystemExit):
         run("--scale 0")
     assert "--scale 0: expected 1 or more" in capsys.readouterr().err
