@@ -35,10 +35,10 @@ Expected polarization_cost(const Workload& work) {
 }
 
 Expected prior_cost(const Workload& work) {
-  constexpr Rates cloud{5.3, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
+  constexpr Rates cloud{6.5, 0.88, 100, 250}, raster{0.04, 0.5, 35, 0};
   // A swept surface scatters little and is smoothed in finer cells, so that each thread has a system of the largest
   // size.
-  constexpr Rates swept{10.4, 0.88, 100, 900};
+  constexpr Rates swept{7.3, 0.88, 100, 900};
   const PriorSource& prior = work.station.prior;
   const bool is_cloud = std::holds_alternative<CloudFile>(prior) || std::holds_alternative<PointCloud>(prior);
   const bool is_swept = std::holds_alternative<SweptDepth>(prior);
@@ -67,10 +67,10 @@ Expected zenith_cost(const Workload& work) {
 }
 
 Expected height_cost(const Workload& work) {
-  Expected cost = expected({6.9, 0.96, 49, 75}, work.object_mpx, work.threads);
+  Expected cost = expected({5.7, 0.96, 49, 75}, work.object_mpx, work.threads);
   // The height is solved as a whole, many times, at the first resolution at which the object is small enough; that of a
   // large raster is halved in any case.
-  constexpr double seconds_per_mpx = 35;
+  constexpr double seconds_per_mpx = 29;
   double share = work.size.area() > whole_height_pixels ? 0.25 : 1;
   while (share * 1e6 * work.object_mpx > static_cast<double>(whole_height_pixels)) share /= 4;
   cost.seconds += seconds_per_mpx * share * work.object_mpx;
@@ -89,7 +89,7 @@ Expected grid_cost(const Workload& work) {
 }
 
 Expected refined_cost(const Workload& work) {
-  Expected cost = expected({54, 0.96, 50, 0}, work.object_mpx, work.threads);
+  Expected cost = expected({50, 0.96, 50, 0}, work.object_mpx, work.threads);
   // Memory of the field of a strip, and of a tile's problem for each thread.
   constexpr double strip_mb_per_mpx = 110, tile_mb_per_mpx = 5000;
   const RefineOptions& options = work.options.refine;

@@ -10,16 +10,16 @@ from malus.photogrammetry.features import sift_mb
 
 # Processor seconds, by runs of 12 photos and a station of .6 megapixels, and of 40 photos and a station of 18 (decision 71).
 #: Copies and windows.
-_SECONDS_A_MEGAPIXEL, _SECONDS_A_PHOTO = 0.36, 3.6
+_SECONDS_A_MEGAPIXEL, _SECONDS_A_PHOTO = 0.29, 2.9
 #: SIFT, on the photo as it is and at twice its size.
-_SIFT_SECONDS, _DOUBLED_SIFT_SECONDS = 1.1, 3.4
+_SIFT_SECONDS, _DOUBLED_SIFT_SECONDS = 0.92, 2.85
 #: Verification and mapping, by the number of features; comparison of descriptors, by its square; of 8192 features.
-_SECONDS_A_PAIR, _COMPARISON_SECONDS_A_PAIR = 0.95, 0.4
+_SECONDS_A_PAIR, _COMPARISON_SECONDS_A_PAIR = 0.78, 0.33
 _FEATURES = 8192
 #: Features that textured photos have in a megapixel, searched at twice its size; a quarter of them without that.
 _FEATURES_A_MEGAPIXEL = 7600
 #: A sweep, per megapixel of the station and photo.
-_SWEEP_SECONDS = 0.13
+_SWEEP_SECONDS = 0.112
 #: Processor seconds in a second, per thread: COLMAP does not use all of them all the time.
 _BUSY_SHARE = 0.8
 #: Memory of Python, its packages and the library before any input is read.
@@ -29,7 +29,7 @@ _KEPT_MB_A_MEGAPIXEL = 64
 _FLOAT_MB_A_MEGAPIXEL = 4.0
 #: Floats per pixel of each photo. While windows are matched: measured with 40 photos of 18 megapixels, half of it for the
 #: photos with their pyramids. In the sweep: the photos and the level that is compared.
-_MATCHED_FLOATS, _SWEPT_FLOATS = 8 / 3, 5 / 4
+_MATCHED_FLOATS, _SWEPT_FLOATS = 9 / 4, 5 / 4
 #: Rasters of the station in the sweep, and further ones per photo in the search for highlights.
 _SWEEP_RASTERS, _SWEEP_RASTERS_A_PHOTO = 12, 1 / 4
 #: Memory of a tile of the sweep per thread, and of the program COLMAP.
