@@ -76,8 +76,9 @@ def _limit_memory(more: int) -> None:
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     of_threads = 8_000_000 * (os.cpu_count() or 1)
     wanted = int(status["VmData"].split()[0]) * 1024 + 64_000_000 + of_threads + more
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    # A lower limit that the user set stays.
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted if soft == resource.RLIM_INFINITY else min(wanted, soft), hard))
 
 
 if __name__ == "__main__":

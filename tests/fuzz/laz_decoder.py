@@ -3,7 +3,7 @@
     python laz_decoder.py
 
 reads requests from standard input and writes answers to standard output, each a line of JSON that states how many bytes of
-points follow. A process decodes one file after the other until one ends it; then the next, forked before, goes on.
+points follow. A process decodes one file after the other until one ends it; then the next one is forked.
 """
 
 from __future__ import annotations
