@@ -91,9 +91,11 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
   require_size(swept.sigma, camera.size, "standard deviation of the prior depth map");
   const Measured measured = measured_depths(swept, mask);
   const Image<float>&depth = measured.depth, &sigma = measured.sigma;
-  // A hull that gives most of the depths keeps its form, and only what the sweep adds to it is smoothed.
-  const bool is_hull = swept.shape.count() == 0 && measured.hull_fraction > 0.5;
-  const Image<float> shape = relative_shape(is_hull ? filled_from_nearest(swept.hull) : swept.shape, mask);
+  // A hull that gives most of the depths keeps its form, and only what the sweep adds to it is smoothed. A second sweep
+  // is about a surface with that form.
+  const bool is_hull = measured.hull_fraction > 0.5;
+  const bool about_hull = is_hull && swept.shape.count() == 0;
+  const Image<float> shape = relative_shape(about_hull ? filled_from_nearest(swept.hull) : swept.shape, mask);
   constexpr int stride = 4;
   const auto known = [&](int u, int v) { return depth(u, v) > 0; };
   PointCloud cloud;

@@ -700,6 +700,29 @@ TEST(PriorOfDepthMap, TakesTheVisualHullWhereTheSweepHasNoDepth) {
       ErrorCode::input, [&] { project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {}); }, "visual hull");
 }
 
+TEST(PriorOfDepthMap, AHullThatGivesMostDepthsIsNotSmoothedAboutASurfaceEither) {
+  const Size size = test_camera().size;
+  constexpr float none = std::numeric_limits<float>::quiet_NaN();
+  SweptDepth swept{Image<float>(size, 1, none), Image<float>(size, 1, none), {}};
+  swept.hull = Image<float>(size);
+  swept.hull_sigma = Image<float>(size, 1, static_cast<float>(6 * gsd_mm));
+  const auto wavy = [](int u, int v) { return plane_depth(u, v) - 3 * gsd_mm * std::sin(0.3 * u); };
+  for (int v = 0; v < size.height; ++v) {
+    for (int u = 0; u < size.width; ++u) {
+      swept.hull(u, v) = static_cast<float>(wavy(u, v));
+      if (u < size.width / 4) swept.depth(u, v) = static_cast<float>(wavy(u, v) + 0.2 * gsd_mm);
+      if (u < size.width / 4) swept.sigma(u, v) = static_cast<float>(gsd_mm);
+    }
+  }
+  const DepthPrior first = project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {});
+  swept.shape = first.depth;
+  const DepthPrior second = project_prior(swept, test_camera(), test_pose(), full_mask(), {}, {});
+  EXPECT_EQ(first.smoothing_px, 0);
+  EXPECT_EQ(second.smoothing_px, 0) << "sigma would count the form of the hull as detail that smoothing removed";
+  EXPECT_NEAR(second.noise, first.noise, 0.5 * gsd_mm) << "the hull's sigma is no noise of points";
+  EXPECT_LT(rms_gsd(second.depth, wavy), 1);
+}
+
 TEST(PriorOfDepthMap, UsesNoFinerCellsThanItsPointsSupport) {
   // Without noise there is hardly any smoothing. Cells of one pixel would mean 10 800 unknowns, which would have to be
   // solved in tiles.
