@@ -52,6 +52,21 @@ def test_a_filter_without_effect_on_polarization_is_reported(small_station: Path
     assert "nothing is polarized" in outcome.err and "circular" in outcome.err
 
 
+def test_an_object_that_is_polarized_in_part_is_not_called_unpolarized(small_station: Path) -> None:
+    def in_part(images: Images) -> Images:
+        """The left two thirds differ by noise alone, as a background of matte paper would."""
+        half = stokes(images)[0] / 2
+        noise = np.random.default_rng(1).standard_normal(images.shape)
+        left = np.arange(images.shape[2]) < 2 / 3 * images.shape[2]
+        return np.where(left, half + noise * np.sqrt(half * 16383 / 20000 / 16), images)
+
+    outcome, found = measured(small_station, in_part)
+    assert found["polarization"]["severity"] == "caution"
+    assert 0.2 < found["polarization"]["figures"]["polarized_fraction"] < 0.4
+    assert "of the object is polarized beyond the noise" in outcome.err
+    assert "nothing is polarized" not in outcome.err
+
+
 def test_angles_that_differ_from_the_station_file_are_reported(small_station: Path) -> None:
     def turned_less(images: Images) -> Images:
         """The polarizer turns by 20° from image to image; the station file says 30°."""

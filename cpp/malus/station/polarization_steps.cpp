@@ -40,6 +40,9 @@ constexpr double most_misfits = 0.5;
 /// Least median over cells of the squared mean (s1, s2) divided by its variance from noise; without polarization it is
 /// 0.7.
 constexpr double least_polarization = 1.5;
+/// What noise alone exceeds in one of a hundred cells, and the share of cells above it from which parts of the object
+/// are polarized.
+constexpr double beyond_noise = 4.6, some_cells = 0.05;
 constexpr int polarization_cell_px = 8;
 /// Median error of (s1, s2), relative to their length, from which a mosaic is worth a warning.
 constexpr double texture_over_polarization = 1;
@@ -181,12 +184,22 @@ std::optional<Finding> caution_of_no_polarization(const PolarizationState& state
   if (cells.empty()) return std::nullopt;
   const double typical = median_in_place(cells);
   if (typical > least_polarization) return std::nullopt;
+  const auto polarized = std::ranges::count_if(cells, [](double cell) { return cell > beyond_noise; });
+  const double share = static_cast<double>(polarized) / static_cast<double>(cells.size());
+  const std::vector<std::pair<std::string, double>> figures{{"polarization_over_noise", typical},
+                                                            {"polarized_fraction", share}};
+  if (share > some_cells) {
+    return Finding{"polarization", Severity::caution,
+                   "only " + percent(share) + " of the object is polarized beyond the noise",
+                   "is the background in the mask? Average more exposures, or light the object from the side",
+                   figures};
+  }
   return Finding{"polarization",
                  Severity::caution,
                  "the images are the same at all angles of the polarizer, but for noise: nothing is polarized",
                  "did a linear polarizer turn before the lens? A circular one works only with its thread towards the "
                  "camera",
-                 {{"polarization_over_noise", typical}}};
+                 figures};
 }
 
 /// Finding for images interpolated from a mosaic: texture finer than its cells looks like polarization.
