@@ -83,6 +83,22 @@ def test_mosaic_becomes_a_surface(
     np.testing.assert_array_equal(again.depth, surface.depth)
 
 
+def test_strong_texture_is_not_taken_for_a_missing_filter(
+    mosaic_station: Path, tmp_path: Path
+) -> None:
+    """A polarization camera always has its filters. Before a real one, the peel of an orange was called unpolarized."""
+    folder = shutil.copytree(mosaic_station.parent, tmp_path / "station")
+    image = tifffile.imread(folder / "mosaic.tif").astype(float)
+    write(folder / "mosaic.tif", image * np.random.default_rng(0).uniform(0.85, 1.15, image.shape))
+    said: list[str] = []
+    malus.reconstruct(
+        malus.Station.load(folder / "mosaic.toml"), OPTIONS, until="evidence", threads=2,
+        log=lambda _, text: said.append(text),
+    )  # fmt: skip
+    assert any("texture finer than the mosaic's cells" in text for text in said)
+    assert not any("polarized" in text for text in said)
+
+
 def test_color_mosaic_becomes_a_surface(
     mosaic_station: Path, mosaic: tuple[malus.Result, Path, list[str]], tmp_path: Path
 ) -> None:

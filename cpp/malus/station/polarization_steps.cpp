@@ -309,7 +309,8 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
     add_if_any(caution_of_texture(*state));
   }
   add_if_any(finding_of_misfits(*state));
-  add_if_any(caution_of_no_polarization(*state));
+  // A polarization camera is never without its filters, and its errors from texture would count as noise.
+  if (stack.shared.empty()) add_if_any(caution_of_no_polarization(*state));
   measured.curves = pixel_curves(*state, stack.images, stack.angles_rad, job.station.file.polarized.curve_pixels);
   measured.state = std::move(state);
   Scene scene;
