@@ -157,6 +157,11 @@ def test_obj_names_its_files_without_spaces(workspace: malus.Workspace, tmp_path
     assert {p.name for p in tmp_path.iterdir()} == {path.name, *beside}
     assert "\nmtllib Stone_of_1907.v2.mtl\n" in path.read_text(encoding="utf-8")
     assert "\nmap_Kd Stone_of_1907.v2.png\n" in (tmp_path / "Stone_of_1907.v2.mtl").read_text(encoding="utf-8")
+    before = (tmp_path / "Stone_of_1907.v2.png").read_bytes()
+    with pytest.raises(malus.InputError, match=r"Stone_of_1907\.v2\.png would replace that of Stone  of 1907\.v2\.obj"):
+        malus.export(workspace.folder, "obj", tmp_path / "Stone_of_1907.v2.obj")
+    assert (tmp_path / "Stone_of_1907.v2.png").read_bytes() == before
+    malus.export(workspace.folder, "obj", path)  # itself again
 
 
 @pytest.mark.parametrize("format", ["obj", "stl"])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._files import replacing
 from malus.columns import number
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.exports.beside import files_beside
 from malus.exports.exporter import Exporter
 from malus.lengths import shown
@@ -59,8 +59,9 @@ def _turn_y_up(path: Path) -> None:
 
 def export_obj(exporter: Exporter, path: Path) -> None:
     """Mesh with its texture and material beside it."""
-    mesh = exporter.simplified()
     texture, material = files_beside("obj", path)
+    _require_own_texture(path, texture)
+    mesh = exporter.simplified()
     save_png(texture, exporter.picture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
@@ -82,6 +83,16 @@ def export_obj(exporter: Exporter, path: Path) -> None:
             # Indices in OBJ files start at 1.
             corners = np.repeat(mesh.triangles[rows].astype(np.int64) + 1, 3, axis=1)
             np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
+
+
+def _require_own_texture(path: Path, texture: Path) -> None:
+    """InputError if another OBJ file of the folder, whose name differs in spaces, has the texture of this name."""
+    for other in path.parent.glob("*"):  # none if the folder is yet to be made
+        if other.suffix.lower() == ".obj" and other.name != path.name and texture in files_beside("obj", other):
+            raise InputError(
+                f'{path}: its texture {texture.name} would replace that of {other.name}, because "_" stands for a space in names of '
+                "textures; expected another name or folder"
+            )
 
 
 def export_stl(exporter: Exporter, path: Path) -> None:
