@@ -325,6 +325,9 @@ def test_help_has_no_equation_or_figure_numbers() -> None:
         ("check FOLDER/campaign.toml", "`malus batch FOLDER/campaign.toml -o DIR` runs it"),
         ("object FOLDER/station.toml -o FOLDER/w", "`malus run FOLDER/station.toml -o DIR` runs it"),
         ("batch FOLDER/object.toml -o FOLDER/w", "is an object file, expected a campaign file"),
+        ("check FOLDER", "FOLDER: is a folder, expected a station file, such as FOLDER/station.toml"),
+        ("object FOLDER -o FOLDER/w", "FOLDER: is a folder, expected an object file, such as FOLDER/object.toml"),
+        ("batch FOLDER -o FOLDER/w", "expected a campaign file, such as FOLDER/campaign.toml"),
         ("run FOLDER/a.toml -o FOLDER/w --reference FOLDER/none.ply", "--reference FOLDER/none.ply: no such file"),
     ],
 )
