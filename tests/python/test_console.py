@@ -200,10 +200,11 @@ def test_missing_convergence_is_explained_in_plain_words(tiny_station_source: Pa
 
 
 def test_main_options_are_a_dozen_of_all() -> None:
-    listed = [
-        line.split(" = ")[0] for line in malus_here("options", "--main").out.splitlines() if not line.startswith(" ")
-    ]
+    lines = malus_here("options", "--main").out.splitlines()
+    listed = [line.split(" = ")[0] for line in lines if not line.startswith(" ")]
     assert sorted(listed) == sorted(MAIN) and len(listed) == 12
+    meanings = {meaning for _, _, _, meaning in malus.Options.describe()}
+    assert all(line.strip() in meanings for line in lines if line.startswith(" ")), "told twice, with Studio's titles"
 
 
 def test_options_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
