@@ -11,13 +11,14 @@ import sqlite3
 import subprocess
 import sys
 import time
+import unicodedata
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ from malus.photogrammetry.journal import UNFINISHED, Journal
 from malus.photogrammetry.marks import require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import SparseModel
-from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
+from malus.photogrammetry.photos import Photo, list_photos, photos_of, stray_masks, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
 from malus.planning import expected_times
@@ -951,6 +952,20 @@ def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Pat
         _core.write_png(str(tmp_path / name), np.zeros((8, 12), np.uint8))
     photos = list_photos(tmp_path, ["p_1 [edited].png", "sub/p_2 [edited].png"])
     assert [photo.name for photo in photos] == ["p_1.png"]
+
+
+@pytest.mark.parametrize("of_photo", ["NFC", "NFD"])
+def test_accents_of_names_are_alike_however_they_are_written(tmp_path: Path, of_photo: Literal["NFC", "NFD"]) -> None:
+    """The photos of a Mac were not found by the names that one types elsewhere, and had no masks."""
+    other: Literal["NFC", "NFD"] = "NFD" if of_photo == "NFC" else "NFC"
+    for name in ("Büste é1.png", "Büste é2.png"):
+        _core.write_png(str(tmp_path / unicodedata.normalize(of_photo, name)), np.zeros((8, 12), np.uint8))
+    mask = tmp_path / "masks" / unicodedata.normalize(other, "Büste é1_mask.png")
+    mask.parent.mkdir()
+    _core.write_png(str(mask), np.full((8, 12), 255, np.uint8))
+    said = {"folder": str(tmp_path), "exclude": [unicodedata.normalize(other, "*é2.png")], "masks": str(mask.parent)}
+    assert [photo.mask for photo in photos_of(said)] == [mask]
+    assert stray_masks(said) == []
 
 
 def test_a_photo_whose_name_is_not_utf8_is_named(tmp_path: Path) -> None:
