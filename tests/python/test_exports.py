@@ -486,6 +486,7 @@ def test_rims_have_the_color_of_the_object(workspace: malus.Workspace, tmp_path:
     exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, surface.sigma, surface.camera)
     exporter.__dict__["color"] = np.where(outside, np.float32(np.nan), np.float32(0.4))
     assert set(np.unique(exporter.picture())) == {0, 255}
+    assert set(np.unique(exporter.texture())) == {255}, "viewers mix pixels beside it into the rim of a small object"
     exports.FORMATS["orthophoto"][0](exporter, tmp_path / "a.png")
     picture = np.asarray(Image.open(tmp_path / "a.png"))
     shown = picture[..., 3] > 0

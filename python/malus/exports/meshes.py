@@ -38,7 +38,7 @@ def export_glb(exporter: Exporter, path: Path) -> None:
     workspace = exporter.workspace
     with replacing(path) as temporary:  # so that a model that is not turned yet never has the final name
         _core.write_glb(
-            str(temporary), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
+            str(temporary), mesh.vertices, mesh.normals, mesh.triangles, exporter.texture(), workspace.camera, exporter.unit,
             exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
         )  # fmt: skip
         if exporter.wishes.y_up:
@@ -62,7 +62,7 @@ def export_obj(exporter: Exporter, path: Path) -> None:
     texture, material = files_beside("obj", path)
     _require_own_texture(path, texture)
     mesh = exporter.simplified()
-    save_png(texture, exporter.picture(), exporter.xmp())
+    save_png(texture, exporter.texture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
