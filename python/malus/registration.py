@@ -139,13 +139,16 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
 
 
 def forget_registration(work: str | Path, reference: str | Path | None) -> None:
-    """Remove what an earlier run registered, unless its scan is the `reference` of this one, too: it would look like part of this result."""
+    """Remove what an earlier run registered, or read from a file of another format, unless it is the `reference` of this one, too: it
+    would look like part of this result.
+    """
     folder = Path(work) / "reference"
-    registered = folder / "registered.ply"
-    if reference is not None and resolved(reference) == resolved(registered):
+    compared = None if reference is None else resolved(reference)
+    if compared == resolved(folder / "registered.ply"):
         return
-    for file in (registered, folder / "registration.json"):
-        file.unlink(missing_ok=True)
+    for name in ("registered.ply", "registration.json", "scan.ply"):
+        if compared != resolved(folder / name):
+            (folder / name).unlink(missing_ok=True)
     with suppress(OSError):  # other files are in it, or it never was
         folder.rmdir()
 
