@@ -41,7 +41,7 @@ from malus.photogrammetry import (
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.features import _search, find_features
 from malus.photogrammetry.journal import UNFINISHED, Journal
-from malus.photogrammetry.marks import require_marks_in_photos
+from malus.photogrammetry.marks import marks_in_files, require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photos import Photo, list_photos, photos_of, stray_masks, to_bytes, with_masks
@@ -1122,6 +1122,22 @@ def test_marks_lie_in_their_photos() -> None:
         check(601, 3)
     with pytest.raises(package.InputError, match="pixels$"):
         check(-1, 3)  # outside of the turned photo, too
+
+
+def test_marks_name_photos_however_accents_are_written() -> None:
+    """Of a Mac's photos, they were in files that are not among the photos."""
+    name = {"NFC": unicodedata.normalize("NFC", "Büste.jpg"), "NFD": unicodedata.normalize("NFD", "Büste.jpg")}
+    photos = [Photo(name["NFD"], Path(name["NFD"]), 600, 400)]
+    marks = [{"image": image, "x": 1, "y": 2} for image in (name["NFC"], "other.jpg")]
+    said = {
+        "path": "s.toml",
+        "scale": [{"a": marks, "b": [], "check": True}],
+        "control": [{"name": "A", "marks": marks}],
+    }
+    found = marks_in_files(said, photos)
+    for of_table in (found["scale"][0]["a"], found["control"][0]["marks"]):
+        assert of_table == [{**marks[0], "image": name["NFD"]}, marks[1]]
+    assert found["scale"][0]["check"] and found["control"][0]["name"] == "A"
 
 
 def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:
