@@ -129,7 +129,7 @@ py::object map_of(const std::shared_ptr<const T>& of, Map T::*map) {
 
 /// Results of a run under the names of malus.Result, None for those that were not computed. `results` can be passed to
 /// another run. `station`: of the run.
-py::dict to_dict(const std::shared_ptr<Results>& run, const StationFile& station) {
+py::dict to_dict(const std::shared_ptr<Results>& run, const Station& station) {
   const auto surface = run->get<FusedSurface>();
   const auto prior = run->get<DepthPrior>();
   const auto measured = run->get<MeasuredPolarization>();
@@ -137,6 +137,9 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const StationFile& station
   const auto state = calibrated ? calibrated->state : measured ? measured->state : nullptr;
   const auto report = run->get<QualityReport>();
   const auto view = run->get<StationView>();
+  // That of a station whose surface will be in the frame of its photos is not known before they have been placed.
+  const bool is_placed = station.has_prior() || !station.file.photos || station.photogrammetry;
+  const bool has_pose = station.file.camera && is_placed;
   py::dict result;
   result["depth"] = map_of(surface, &FusedSurface::depth);
   result["normals"] = map_of(surface, &FusedSurface::normals);
@@ -152,9 +155,8 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const StationFile& station
   result["valid"] = map_of(state, &PolarizationState::valid);
   result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
                      : prior ? py::cast(RasterView{prior->camera, prior->pose})
-                     : view && station.known_lens()
-                         ? py::cast(RasterView{view->camera, station.camera ? station.camera->pose : Pose{}})
-                         : py::none();
+                     : view && has_pose ? py::cast(RasterView{view->camera, station.file.camera->pose})
+                                        : py::none();
   result["status"] = surface  ? py::cast(enum_name(surface->status))
                      : report ? py::cast(enum_name(report->status))
                               : py::none();
@@ -230,7 +232,7 @@ void bind_run(py::module_& module) {
         auto results = std::make_shared<Results>();
         run_interruptible(threads, on_progress, on_log,
                           [&](const Context& context) { *results = reconstruct(station, options, run, context); });
-        return to_dict(results, station.file);
+        return to_dict(results, station);
       },
       py::arg("station"), py::arg("options"), py::arg("threads"), py::arg("workspace") = py::none(),
       py::arg("replace") = false, py::arg("until") = py::none(), py::arg("reference") = py::none(),

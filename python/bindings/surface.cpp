@@ -49,6 +49,7 @@ void bind_surface(py::module_& module) {
         return display_image(color, depth, white_percentile, {});
       },
       WithoutGil());
+  module.def("filled_beside", &filled_beside, py::arg("display"), py::arg("known"), WithoutGil());
   module.def("dem_from_mesh", [](const Array<double>& vertices, const Array<std::uint32_t>& triangles,
                                  const FusedSurface& surface, const Options& options, int threads) {
     const TriangleMesh mesh = to_mesh(to_cloud(vertices), triangles);

@@ -179,10 +179,18 @@ def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = 
 
     content: of the file, if it has been read. A file that cannot be read passes: its reader raises the error.
     """
+    _require_no_folder(file, expected)
     found = kinds_of(file, content)
     if found and expected not in found:
         name, command = _KINDS[found[0]]
         raise InputError(f"{file}: is {name}, expected {_KINDS[expected][0]}; `malus {command} {file} -o DIR` runs it")
+
+
+def _require_no_folder(file: Path, expected: str) -> None:
+    """InputError if a folder is given in place of the file in it."""
+    usual = file / f"{expected}.toml"
+    if usual.is_file():
+        raise InputError(f"{file}: is a folder, expected {_KINDS[expected][0]}, such as {usual}")
 
 
 def kinds_of(file: Path, content: Mapping[str, Any] | None = None) -> list[str]:
@@ -207,6 +215,7 @@ def read_tables(file: Path, keys: Mapping[str, Sequence[str]]) -> dict[str, Any]
     level, whose keys are the tables.
     """
     kind = "campaign" if "campaign" in keys else "object"
+    _require_no_folder(file, kind)
     content = read_toml(file, f"{kind} file")
     require_kind(file, kind, content)
     _check_keys(file, content, "", keys[""])

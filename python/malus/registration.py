@@ -10,6 +10,7 @@ aligns the surfaces precisely.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from malus import _core
 from malus._arrays import as_rows
-from malus._files import write_text
+from malus._files import resolved, write_text
 from malus._robust import robust_spread
 from malus.errors import DataError
 from malus.object.ply import columns, write_ply
@@ -135,6 +136,21 @@ def register_reference(work: str | Path, reference: str | Path) -> Path:
     write_ply(folder / "registered.ply", columns("xyz", moved, "f8"), triangles, "reference moved onto the surface")
     write_text(folder / "registration.json", json.dumps(figures, indent=2) + "\n")
     return folder / "registered.ply"
+
+
+def forget_registration(work: str | Path, reference: str | Path | None) -> None:
+    """Remove what an earlier run registered, or read from a file of another format, unless it is the `reference` of this one, too: it
+    would look like part of this result.
+    """
+    folder = Path(work) / "reference"
+    compared = None if reference is None else resolved(reference)
+    if compared == resolved(folder / "registered.ply"):
+        return
+    for name in ("registered.ply", "registration.json", "scan.ply"):
+        if compared != resolved(folder / name):
+            (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # other files are in it, or it never was
+        folder.rmdir()
 
 
 def _checked(values: ArrayLike, name: str) -> Points:

@@ -40,9 +40,10 @@ class Result:
     the same of the coarse surface. polarization_height: H×W, from polarization alone, in pixels on the object (GSD), positive
     towards the camera. unpolarized: H×W, linear, 1 = white level; degree, phase_rad (0 to π, counter-clockwise from image +x), and
     zenith_rad (angle between normal and viewing ray by the degree alone): H×W. camera: the camera of all rasters, with its pose;
-    None for a station without a camera. status: how the fusion ended, on success "converged" for a solver and "done" for the grid
-    transfer. confidence: how far the surface may be trusted. warnings: those of all steps, "<step>: <sentence>". quality: every
-    figure of the report (as quality.json). Fields of steps that were not run are None.
+    None for a station without a camera, and as long as the pose among the photos is not known. status: how the fusion ended, on
+    success "converged" for a solver and "done" for the grid transfer. confidence: how far the surface may be trusted. warnings:
+    those of all steps, "<step>: <sentence>". quality: every figure of the report (as quality.json). Fields of steps that were not
+    run are None.
     """
 
     name: str

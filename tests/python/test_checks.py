@@ -11,6 +11,7 @@ import markupsafe
 import pytest
 import tifffile
 
+import malus
 from conftest import QUICK_WORDS, edit, malus_station
 from malus.report import CHECKS
 from malus.workspace import Workspace
@@ -82,6 +83,19 @@ def test_a_fault_in_part_of_the_image_makes_confidence_partial(small_station: Pa
     confidence = json.loads((work / "quality.json").read_text())["confidence"]
     assert confidence["level"] in ("partial", "low")
     assert any(found["message"] in reason for reason in confidence["reasons"])
+
+
+def test_three_angles_cannot_show_that_the_light_flickered(small_station: Path, tmp_path: Path) -> None:
+    edit(small_station, ANGLES, "angles_deg = [0, 60, 120]")
+    text = small_station.read_text()
+    for angle in ("030", "090", "150"):
+        text = re.sub(rf'"[^"]*pol_{angle}[^"]*",? *', "", text)
+    small_station.write_text(text.replace(", ]", "]"))
+    work = tmp_path / "work"
+    options = malus.Options(fusion="grid", capture={"registration": "off"})
+    malus.reconstruct(malus.Station.load(small_station), options, workspace=work, until="evidence", threads=1)
+    found = findings(work)["misfits"]
+    assert found["severity"] == "note" and "whether the light flickered" in found["message"]
 
 
 def direction_exchanged(station: Path) -> Path:

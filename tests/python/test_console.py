@@ -200,10 +200,11 @@ def test_missing_convergence_is_explained_in_plain_words(tiny_station_source: Pa
 
 
 def test_main_options_are_a_dozen_of_all() -> None:
-    listed = [
-        line.split(" = ")[0] for line in malus_here("options", "--main").out.splitlines() if not line.startswith(" ")
-    ]
+    lines = malus_here("options", "--main").out.splitlines()
+    listed = [line.split(" = ")[0] for line in lines if not line.startswith(" ")]
     assert sorted(listed) == sorted(MAIN) and len(listed) == 12
+    meanings = {meaning for _, _, _, meaning in malus.Options.describe()}
+    assert all(line.strip() in meanings for line in lines if line.startswith(" ")), "told twice, with Studio's titles"
 
 
 def test_options_fit_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,6 +326,9 @@ def test_help_has_no_equation_or_figure_numbers() -> None:
         ("check FOLDER/campaign.toml", "`malus batch FOLDER/campaign.toml -o DIR` runs it"),
         ("object FOLDER/station.toml -o FOLDER/w", "`malus run FOLDER/station.toml -o DIR` runs it"),
         ("batch FOLDER/object.toml -o FOLDER/w", "is an object file, expected a campaign file"),
+        ("check FOLDER", "FOLDER: is a folder, expected a station file, such as FOLDER/station.toml"),
+        ("object FOLDER -o FOLDER/w", "FOLDER: is a folder, expected an object file, such as FOLDER/object.toml"),
+        ("batch FOLDER -o FOLDER/w", "expected a campaign file, such as FOLDER/campaign.toml"),
         ("run FOLDER/a.toml -o FOLDER/w --reference FOLDER/none.ply", "--reference FOLDER/none.ply: no such file"),
     ],
 )

@@ -157,6 +157,11 @@ def test_obj_names_its_files_without_spaces(workspace: malus.Workspace, tmp_path
     assert {p.name for p in tmp_path.iterdir()} == {path.name, *beside}
     assert "\nmtllib Stone_of_1907.v2.mtl\n" in path.read_text(encoding="utf-8")
     assert "\nmap_Kd Stone_of_1907.v2.png\n" in (tmp_path / "Stone_of_1907.v2.mtl").read_text(encoding="utf-8")
+    before = (tmp_path / "Stone_of_1907.v2.png").read_bytes()
+    with pytest.raises(malus.InputError, match=r"Stone_of_1907\.v2\.png would replace that of Stone  of 1907\.v2\.obj"):
+        malus.export(workspace.folder, "obj", tmp_path / "Stone_of_1907.v2.obj")
+    assert (tmp_path / "Stone_of_1907.v2.png").read_bytes() == before
+    malus.export(workspace.folder, "obj", path)  # itself again
 
 
 @pytest.mark.parametrize("format", ["obj", "stl"])
@@ -481,6 +486,7 @@ def test_rims_have_the_color_of_the_object(workspace: malus.Workspace, tmp_path:
     exporter.surface = malus.fusion.FusedSurface(depth, surface.normals, surface.sigma, surface.camera)
     exporter.__dict__["color"] = np.where(outside, np.float32(np.nan), np.float32(0.4))
     assert set(np.unique(exporter.picture())) == {0, 255}
+    assert set(np.unique(exporter.texture())) == {255}, "viewers mix pixels beside it into the rim of a small object"
     exports.FORMATS["orthophoto"][0](exporter, tmp_path / "a.png")
     picture = np.asarray(Image.open(tmp_path / "a.png"))
     shown = picture[..., 3] > 0

@@ -788,7 +788,7 @@ def test_broken_station_is_told_until_it_is_taken_out_and_the_others_are_joined(
     page = (output / "object/report/index.html").read_text()
     assert str(pair.parent) not in page
     assert (
-        'id="o1"' in page
+        'id="station-o1"' in page
         and "One surface of 1 station " in page
         and "No surface of one station lies where another has its own." in page
     )
@@ -995,7 +995,7 @@ def require_told(pair: Path, output: Path, outcome: Outcome, quiet: Outcome) -> 
     text = html.unescape((output / "object/report/index.html").read_text())
     for name in ("o0", "o1"):
         confidence = json.loads((output / f"stations/{name}/quality.json").read_text())["confidence"]
-        row = text.split(f'<tr id="{name}">')[1].split("</tr>")[0]
+        row = text.split(f'<tr id="station-{name}">')[1].split("</tr>")[0]
         assert f"confidence {confidence['level']}" in row
         assert all(text.count(reason) == 1 for reason in confidence["reasons"])  # once for all stations, first of all
         said = f"{name}: confidence {confidence['level']}: {confidence['reasons'][0]}"
@@ -1687,6 +1687,13 @@ def test_the_page_says_how_stations_agree_and_contradict() -> None:
     assert "Contradictions are not among these; they are 12.3 % of all comparisons" in shown(0.97, 0.123)
     assert "contradict each other at all of them" in shown(None, 1.0)
     assert "No surface of one station lies where another has its own" in shown(None, None)
+
+
+def test_no_station_has_the_id_of_a_part_of_the_page() -> None:
+    """One in a folder object-data had that of the surface's data, which the page then did not show."""
+    text = (Path(object_run.__file__).parents[1] / "templates/object.html.j2").read_text(encoding="utf-8")
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert [name for name in ids if name.startswith("station-") or "{" in name] == ["station-{{ row.station }}"]
 
 
 def test_stations_that_see_other_places_contradict_nothing(views: list[View]) -> None:

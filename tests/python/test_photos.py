@@ -11,13 +11,14 @@ import sqlite3
 import subprocess
 import sys
 import time
+import unicodedata
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -40,10 +41,10 @@ from malus.photogrammetry import (
 from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.features import _search, find_features
 from malus.photogrammetry.journal import UNFINISHED, Journal
-from malus.photogrammetry.marks import require_marks_in_photos
+from malus.photogrammetry.marks import marks_in_files, require_marks_in_photos
 from malus.photogrammetry.metashape import read_metashape
 from malus.photogrammetry.model import SparseModel
-from malus.photogrammetry.photos import Photo, list_photos, photos_of, to_bytes, with_masks
+from malus.photogrammetry.photos import Photo, list_photos, photos_of, stray_masks, to_bytes, with_masks
 from malus.photogrammetry.program import Colmap, SearchStoppedError
 from malus.photogrammetry.station_pose import STATION_IMAGE, StationView, station_image
 from malus.planning import expected_times
@@ -953,6 +954,20 @@ def test_a_photo_with_brackets_in_its_name_is_excluded_by_its_name(tmp_path: Pat
     assert [photo.name for photo in photos] == ["p_1.png"]
 
 
+@pytest.mark.parametrize("of_photo", ["NFC", "NFD"])
+def test_accents_of_names_are_alike_however_they_are_written(tmp_path: Path, of_photo: Literal["NFC", "NFD"]) -> None:
+    """The photos of a Mac were not found by the names that one types elsewhere, and had no masks."""
+    other: Literal["NFC", "NFD"] = "NFD" if of_photo == "NFC" else "NFC"
+    for name in ("Büste é1.png", "Büste é2.png"):
+        _core.write_png(str(tmp_path / unicodedata.normalize(of_photo, name)), np.zeros((8, 12), np.uint8))
+    mask = tmp_path / "masks" / unicodedata.normalize(other, "Büste é1_mask.png")
+    mask.parent.mkdir()
+    _core.write_png(str(mask), np.full((8, 12), 255, np.uint8))
+    said = {"folder": str(tmp_path), "exclude": [unicodedata.normalize(other, "*é2.png")], "masks": str(mask.parent)}
+    assert [photo.mask for photo in photos_of(said)] == [mask]
+    assert stray_masks(said) == []
+
+
 def test_a_photo_whose_name_is_not_utf8_is_named(tmp_path: Path) -> None:
     _core.write_png(str(tmp_path / "p.png"), np.zeros((8, 12), np.uint8))
     (tmp_path / "p.png").rename(tmp_path / os.fsdecode(b"B\xfcste.png"))
@@ -1107,6 +1122,22 @@ def test_marks_lie_in_their_photos() -> None:
         check(601, 3)
     with pytest.raises(package.InputError, match="pixels$"):
         check(-1, 3)  # outside of the turned photo, too
+
+
+def test_marks_name_photos_however_accents_are_written() -> None:
+    """Of a Mac's photos, they were in files that are not among the photos."""
+    name = {"NFC": unicodedata.normalize("NFC", "Büste.jpg"), "NFD": unicodedata.normalize("NFD", "Büste.jpg")}
+    photos = [Photo(name["NFD"], Path(name["NFD"]), 600, 400)]
+    marks = [{"image": image, "x": 1, "y": 2} for image in (name["NFC"], "other.jpg")]
+    said = {
+        "path": "s.toml",
+        "scale": [{"a": marks, "b": [], "check": True}],
+        "control": [{"name": "A", "marks": marks}],
+    }
+    found = marks_in_files(said, photos)
+    for of_table in (found["scale"][0]["a"], found["control"][0]["marks"]):
+        assert of_table == [{**marks[0], "image": name["NFD"]}, marks[1]]
+    assert found["scale"][0]["check"] and found["control"][0]["name"] == "A"
 
 
 def test_a_zoom_lens_at_two_focal_lengths_is_two_lenses(tmp_path: Path) -> None:

@@ -109,6 +109,31 @@ def test_the_command_finds_the_place_of_a_scan(small_station: Path, tmp_path: Pa
     assert found["correlation"] > 0.99 and found["next_best"] < found["correlation"]
     alone = malus_here("assess", small_station, "-o", work, "--register", *QUICK_WORDS)
     assert alone.code == 2 and "--register needs a reference" in alone.err
+    # What was registered stays as long as it is the reference, and no longer.
+    placed = work / "reference/registered.ply"
+    for words in (("--reference", placed), ()):
+        assert (work / "reference/registration.json").exists() and placed.exists()
+        later = malus_here("assess", small_station, "-o", work, *words, *QUICK_WORDS)
+        assert later.code == 0, later.err
+    assert not (work / "reference").exists()
+
+
+@pytest.mark.parametrize(
+    ("reference", "left"),
+    [
+        (None, set()),
+        ("scan.ply", {"scan.ply"}),
+        ("registered.ply", {"registered.ply", "registration.json", "scan.ply"}),
+    ],
+)
+def test_files_of_an_earlier_reference_go(tmp_path: Path, reference: str | None, left: set[str]) -> None:
+    folder = tmp_path / "reference"
+    folder.mkdir()
+    for name in ("registered.ply", "registration.json", "scan.ply"):
+        (folder / name).touch()
+    registration.forget_registration(tmp_path, None if reference is None else folder / reference)
+    assert {path.name for path in folder.glob("*")} == left and folder.exists() == bool(left)
+    registration.forget_registration(tmp_path / "none", None)
 
 
 def test_a_registered_mesh_is_still_a_mesh(

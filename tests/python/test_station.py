@@ -399,6 +399,10 @@ def test_photos_give_camera_and_prior_of_a_station_in_memory(
     found = malus.reconstruct(station, malus.Options(capture={"registration": "off"}), until="prior", threads=1)
     np.testing.assert_allclose(found.prior_depth, depth, rtol=1e-3)
     assert found.camera is not None and found.camera.pose()[1][2] == 50
+    unplaced = malus.reconstruct(
+        station, malus.Options(capture={"registration": "off"}), until="polarization", threads=1
+    )
+    assert unplaced.camera is None and unplaced.pose is None, "it had the pose of the world frame"
     assert "photos: few photos" in found.warnings
     assert described[0]["photos"]["folder"] == str(tmp_path / "views") and described[0]["path"] == "station words"
     with pytest.raises(malus.InputError, match=r"^station words: \[\[control\]\]: 1 point without check"):

@@ -177,11 +177,31 @@ ResponseCurve read_response_table(const std::filesystem::path& path) {
   return curve;
 }
 
+namespace {
+
+/// Input error for a floating-point image of digital numbers whose white level nobody states: nearly all of it would be
+/// saturated at 1.
+void require_shares_of_white(const RawImage& raw, const std::string& name) {
+  // No share of the white level, however far an exposure was scaled; the same for arrays from Python.
+  constexpr float too_bright = 10;
+  const float largest = *std::ranges::max_element(raw.pixels);
+  if (!(largest > too_bright)) return;
+  const int bits = std::bit_width(static_cast<unsigned>(std::min(largest, 65535.0F)));
+  const int likely = (1 << std::max(bits, 8)) - 1;
+  throw input_error(name + ": reaches " + with_digits(largest, 6) +
+                    ", but white is 1 in a floating-point file; expected shares of white, or white_level = " +
+                    std::to_string(likely) + " or another number that is white (1 if the file is right)");
+}
+
+}  // namespace
+
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name) {
   double white_dn = raw.full_scale_dn();
   if (curve.is_of_numbers())
     white_dn = raw.is_float() ? curve.encoded.back() : std::min(white_dn, curve.encoded.back());
+  else if (raw.is_float() && !spec.white_level)
+    require_shares_of_white(raw, name);
   Levels levels;
   levels.black_dn = spec.black_level;
   levels.white_dn = spec.white_level.value_or(white_dn);

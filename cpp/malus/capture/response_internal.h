@@ -50,7 +50,8 @@ struct Levels {
 };
 
 /// Levels of a raw image: white from the station file, else the last number of a table of DN, from which on all numbers
-/// are alike, else the file's full scale. Input error unless white > black.
+/// are alike, else the file's full scale. Input error unless white > black, and for a floating-point image of digital
+/// numbers without a stated white level.
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name);
 

@@ -3,6 +3,7 @@
 
 #include "malus/core/depth_normals_internal.h"
 #include "malus/core/even_choice_internal.h"
+#include "malus/core/spread_pixels_internal.h"
 #include "malus/evidence/before_fusion_internal.h"
 #include "malus/evidence/contrast_check_internal.h"
 #include "malus/evidence/object_size_internal.h"
@@ -10,17 +11,15 @@
 namespace malus {
 namespace {
 
-/// Evenly sampled points of the prior on the object.
+/// Evenly sampled points of the prior on the object, to its outermost rows and columns: they determine its size.
 std::vector<Eigen::Vector3d> points_of(const Image<float>& depth, const Mask& object, const Pinhole& camera) {
   constexpr double most_points = 100000;
   constexpr double fewest_points = 2000;  // of a small object in a large image, or all of them
   std::vector<Eigen::Vector3d> points;
   const int stride = stride_on(object, depth.size(), most_points, fewest_points);
-  for (int v = 0; v < depth.height(); v += stride) {
-    for (int u = 0; u < depth.width(); u += stride) {
-      if (object(u, v) != 0 && std::isfinite(depth(u, v))) points.push_back(depth(u, v) * camera.ray(u, v));
-    }
-  }
+  for_each_spread(bounding_box(object), stride, [&](int u, int v) {
+    if (object(u, v) != 0 && std::isfinite(depth(u, v))) points.push_back(depth(u, v) * camera.ray(u, v));
+  });
   return points;
 }
 

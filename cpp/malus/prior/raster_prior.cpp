@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -65,16 +64,15 @@ void fill_holes(DepthPrior& prior, const Mask& mask, const PriorOptions& options
   prior.filled_fraction = hole_pixels / static_cast<double>(count_of_set(mask));
 }
 
-/// Declares the depth's standard deviation to be noise, like that of a cloud's points, so that the fusion averages it
-/// over an area. Holes must not be filled yet: their standard deviation is no noise.
-void set_noise(DepthPrior& prior) {
-  std::vector<float> sigmas;
-  std::copy_if(prior.sigma.begin(), prior.sigma.end(), std::back_inserter(sigmas), [](float s) { return s > 0; });
-  prior.noise = median_in_place(sigmas);
-  prior.spacing_px = independent_px;
-}
-
 }  // namespace
+
+double noise_of(const DepthPrior& prior, const Image<float>& measured) {
+  std::vector<float> sigmas;
+  for (std::size_t i = 0; i < measured.count(); ++i) {
+    if (measured[i] > 0 && prior.sigma[i] > 0) sigmas.push_back(prior.sigma[i]);
+  }
+  return median_in_place(sigmas);
+}
 
 DepthPrior empty_prior(const Pinhole& camera, const Pose& pose) {
   const Image<float> nothing(camera.size, 1, no_value);
@@ -117,7 +115,11 @@ DepthPrior prior_of_raster(const Image<float>& depth, const std::string& source,
                      " pixels outside the mask have one): check that it and the camera pose are in one frame and unit");
   }
   prior.spacing_px = 1;
-  if (deviation == Deviation::noise) set_noise(prior);
+  if (deviation == Deviation::noise) {
+    // The fusion averages noise over an area, as that of a cloud's points.
+    prior.noise = noise_of(prior, prior.depth);
+    prior.spacing_px = independent_px;
+  }
   fill_holes(prior, mask, options, context);
   prior.points_total = static_cast<double>(known + elsewhere);
   prior.points_used = static_cast<double>(known);

@@ -26,6 +26,10 @@ Mask missing_in(const Image<float>& depth);
 /// Distance of each pixel from the nearest one that has a depth, in px.
 Image<float> distance_from_known(const Image<float>& depth);
 
+/// Median standard deviation of the prior at the pixels of the object that have a measured depth: that of filled holes
+/// is no noise.
+double noise_of(const DepthPrior& prior, const Image<float>& measured);
+
 /// Prior of a depth raster in the station view; `source` names it in messages. Object pixels without a depth are filled
 /// by a spline through their surroundings. Throws a data error if fewer than `min_points` of the object's pixels have a
 /// depth.

@@ -4,11 +4,9 @@
 #include <vector>
 
 #include "malus/core/error.h"
-#include "malus/core/median_internal.h"
 #include "malus/core/opencv_mat_internal.h"
 #include "malus/core/opencv_threads_internal.h"
 #include "malus/core/parallel_internal.h"
-#include "malus/core/pixel_rect_internal.h"
 #include "malus/prior/cloud_prior_internal.h"
 #include "malus/prior/project_prior_internal.h"
 #include "malus/prior/raster_prior_internal.h"
@@ -133,14 +131,8 @@ DepthPrior project_prior(const SweptDepth& swept, const Pinhole& camera, const P
     const double gsd = prior.depth(u, v) / camera.focal();
     value = static_cast<float>(std::hypot(value, options.hole_slope * gsd * distance(u, v)));
   });
-  if (!is_hull) {
-    // Neighbors share their windows, so that they scatter far less than they are wrong.
-    std::vector<float> sigmas;
-    for_each_pixel(bounding_box(mask), mask, [&](int u, int v) {
-      if (known(u, v)) sigmas.push_back(prior.sigma(u, v));
-    });
-    prior.noise = median_in_place(sigmas);
-  }
+  // Neighbors share their windows, so that they scatter far less than they are wrong.
+  if (!is_hull) prior.noise = noise_of(prior, depth);
   return prior;
 }
 

@@ -5,6 +5,7 @@
 
 #include "malus/capture/capture_internal.h"
 #include "malus/core/parallel_internal.h"
+#include "malus/core/spread_pixels_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/polarization/reflection_internal.h"
 #include "malus/station/check_inputs_internal.h"
@@ -117,10 +118,10 @@ std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, c
 std::vector<Eigen::Vector3d> points_of_depth(const Image<float>& depth, const CameraSpec& camera, int stride) {
   const Pinhole pinhole = camera.lens.pinhole();
   std::vector<Eigen::Vector3d> points;
-  for (int v = 0; v < depth.height(); v += stride)
-    for (int u = 0; u < depth.width(); u += stride)
-      if (depth(u, v) > 0 && std::isfinite(depth(u, v)))
-        points.push_back(camera.pose.world_from_cam(depth(u, v) * pinhole.ray(u, v)));
+  for_each_spread({0, 0, depth.width(), depth.height()}, stride, [&](int u, int v) {
+    if (depth(u, v) > 0 && std::isfinite(depth(u, v)))
+      points.push_back(camera.pose.world_from_cam(depth(u, v) * pinhole.ray(u, v)));
+  });
   return points;
 }
 

@@ -45,8 +45,8 @@ struct SeenPoint {
 std::vector<SeenPoint> seen_points(const std::vector<Eigen::Vector3d>& points, const CameraSpec& camera, Size image,
                                    const Context& context, std::size_t most = std::numeric_limits<std::size_t>::max());
 
-/// World points of a depth map in the station's undistorted view: pixels of every `stride`-th row and column that have
-/// a depth.
+/// World points of a depth map in the station's undistorted view: pixels that have a depth, in rows and columns about
+/// `stride` apart from the first to the last one.
 std::vector<Eigen::Vector3d> points_of_depth(const Image<float>& depth, const CameraSpec& camera, int stride = 1);
 
 }  // namespace malus

@@ -142,8 +142,17 @@ Finding order_in_mosaic(const ImageOrder& order) {
   return finding;
 }
 
-/// Finding for many pixels that do not follow the sinusoid. Single ones are only left out; many have a common cause.
+/// Finding for many pixels that do not follow the sinusoid. Single ones are only left out; many have a common cause. A
+/// note says where three angles show none, however much the light flickered.
 std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
+  if (state.angles_rad.size() < 4) {
+    return Finding{"misfits",
+                   Severity::note,
+                   "whether the light flickered or something moved could not be checked: a sinusoid passes through any "
+                   "three values; images at a fourth angle would show it",
+                   "",
+                   {}};
+  }
   std::size_t object_pixels = 0, misfit_pixels = 0;
   for (const std::uint8_t pixel : state.valid) {
     object_pixels += !has_state(pixel, PixelState::outside);

@@ -232,7 +232,7 @@ void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& 
                 });
   job.files.add("fused/surface.glb", options.glb_triangles, [=, &surface, &picture](const std::filesystem::path& file) {
     const Image<std::uint8_t> texture =
-        display_image(picture, surface.depth, options.white_percentile, quiet, options.glb_texture_px);
+        display_texture(picture, surface.depth, options.white_percentile, quiet, options.glb_texture_px);
     SurfaceOptions coarse = options;
     coarse.subsample = subsample_for_glb(surface, mesh.triangles, options, quiet);
     const int texel_px = display_block(picture.size(), options.glb_texture_px);

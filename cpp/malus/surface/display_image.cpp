@@ -1,9 +1,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include "malus/core/cell_values_internal.h"
+#include "malus/core/even_choice_internal.h"
 #include "malus/core/median_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
@@ -37,6 +39,19 @@ double white_factor(const Image<float>& color, const Image<float>& depth, double
   if (values.empty()) return 1;
   const float white = quantile_in_place(values, percentile / 100);
   return white > 0 ? 1.0 / white : 1;
+}
+
+/// 0 without any values.
+std::uint8_t rounded_mean(int sum, int count) {
+  return count == 0 ? std::uint8_t{0} : static_cast<std::uint8_t>((sum + count / 2) / count);
+}
+
+/// Sum of value(u, v) over the set pixels of a part.
+template <class Value>
+int sum_over(const PixelRect& part, const Mask& mask, const Value& value) {
+  int sum = 0;
+  for_each_pixel(part, mask, [&](int u, int v) { sum += value(u, v); });
+  return sum;
 }
 
 constexpr int table_steps = 1 << 14;  // finer than 8-bit sRGB everywhere, its steepest slope included
@@ -73,17 +88,54 @@ Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>&
   const int n = display_block(color.size(), longest_side);
   auto display = Image<std::uint8_t>::uninitialized(cells_over(color.size(), n), 3);
   parallel_pixels(context, display.size(), [&](int u, int v) {
-    const PixelRect block = cell_rect(u, v, n, color.size());
-    const int count = block.width() * block.height();
-    std::array<int, 3> sum{count / 2, count / 2, count / 2};
-    for_each_pixel(block, [&](int x, int y) {
+    int count = 0;
+    std::array<int, 3> sum{};
+    for_each_pixel(cell_rect(u, v, n, color.size()), [&](int x, int y) {
+      if (!std::isfinite(color(x, y))) return;
+      ++count;
       const Rgb pixel = colors(x, y);
       for (std::size_t c = 0; c < 3; ++c) sum[c] += pixel[c];
     });
-    for (int c = 0; c < 3; ++c) {
-      display(u, v, c) = static_cast<std::uint8_t>(sum[static_cast<std::size_t>(c)] / count);
-    }
+    for (int c = 0; c < 3; ++c) display(u, v, c) = rounded_mean(sum[static_cast<std::size_t>(c)], count);
   });
+  return display;
+}
+
+Image<std::uint8_t> display_texture(const Image<float>& color, const Image<float>& depth, double white_percentile,
+                                    const Context& context, int longest_side) {
+  Image<std::uint8_t> display = display_image(color, depth, white_percentile, context, longest_side);
+  const int n = display_block(color.size(), longest_side);
+  Mask known(display.size());
+  parallel_pixels(context, display.size(), [&](int u, int v) {
+    for_each_pixel(cell_rect(u, v, n, color.size()), [&](int x, int y) {
+      if (std::isfinite(color(x, y))) known(u, v) = 255;
+    });
+  });
+  return filled_beside(std::move(display), known);
+}
+
+Image<std::uint8_t> filled_beside(Image<std::uint8_t> display, const Mask& known) {
+  require_size(known, display.size(), "mask of the known colors");
+  const std::ptrdiff_t count_known = count_of_set(known);
+  if (count_known == 0 || static_cast<std::size_t>(count_known) == known.count()) return display;
+  // Means of the known ones of 2 x 2 pixels, of which those without any are filled from coarser means.
+  Mask half_known(cells_over(display.size(), 2));
+  Image<std::uint8_t> half(half_known.size(), display.channels());
+  for (int v = 0; v < half.height(); ++v) {
+    for (int u = 0; u < half.width(); ++u) {
+      const PixelRect block = cell_rect(u, v, 2, display.size());
+      const int count = sum_over(block, known, [](int, int) { return 1; });
+      half_known(u, v) = count > 0 ? 255 : 0;
+      for (int c = 0; c < half.channels(); ++c)
+        half(u, v, c) = rounded_mean(sum_over(block, known, [&](int x, int y) { return display(x, y, c); }), count);
+    }
+  }
+  half = filled_beside(std::move(half), half_known);
+  for (int v = 0; v < display.height(); ++v) {
+    for (int u = 0; u < display.width(); ++u) {
+      for (int c = 0; known(u, v) == 0 && c < half.channels(); ++c) display(u, v, c) = half(u / 2, v / 2, c);
+    }
+  }
   return display;
 }
 

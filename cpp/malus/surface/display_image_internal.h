@@ -28,9 +28,18 @@ class DisplayColors {
 /// The smallest n for which an image in blocks of n × n pixels has no side of more than `longest_side` blocks.
 int display_block(Size size, int longest_side);
 
-/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged, n = display_block(). Blocks of the
-/// last column and row may be smaller, so that the result covers the whole image.
+/// DisplayColors of every pixel: 3 channels. Blocks of n × n pixels are averaged without those that have no color, n =
+/// display_block(). Blocks of the last column and row may be smaller, so that the result covers the whole image.
 Image<std::uint8_t> display_image(const Image<float>& color, const Image<float>& depth, double white_percentile,
                                   const Context& context, int longest_side = std::numeric_limits<int>::max());
+
+/// The same for the texture of a mesh: filled_beside() where the image has no color, as beside an object in gray images
+/// with a mask.
+Image<std::uint8_t> display_texture(const Image<float>& color, const Image<float>& depth, double white_percentile,
+                                    const Context& context, int longest_side = std::numeric_limits<int>::max());
+
+/// The pixels beside the known ones take the mean color of those near them, because programs mix them into the rim of a
+/// textured object, the more of them the smaller they show it.
+Image<std::uint8_t> filled_beside(Image<std::uint8_t> display, const Mask& known);
 
 }  // namespace malus

@@ -47,6 +47,5 @@ def list_options(preset: str | None, *, main_only: bool) -> None:
         section, key = name.split(".")
         value = values[section][key]
         if (preset is None or value != defaults[section][key]) and (name in MAIN or not main_only):
-            title = f"{MAIN[name]}: " if main_only else ""
             print_lines(f"{name} = {json.dumps(default if preset is None else value)}  ({kind})")
-            print_lines(f"    {title}{meaning}", hang=0)
+            print_lines(f"    {meaning}", hang=0)

@@ -67,6 +67,8 @@ def reconstruct_station(
             reference = registration.register_reference(args.output, reference)
             view.progress("register", 1.0, str(reference))
         reconstruct(until)
+        if until in (None, "assess"):
+            registration.forget_registration(args.output, reference)
         if args.m3c2 and reference is not None:
             view.progress("m3c2", 0.0, "")
             m3c2.compare(args.output, reference)

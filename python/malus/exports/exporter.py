@@ -72,6 +72,14 @@ class Exporter:
             picture[self.filled] = FILLED_COLOR
         return picture
 
+    def texture(self) -> NDArray[np.uint8]:
+        """`picture` for a mesh: beside what has a color, as beside the object in gray images with a mask, it has the colors near there."""
+        color = self.color
+        known = np.isfinite(color if color.ndim == 2 else color[..., 0])
+        if self.filled is not None:
+            known |= self.filled
+        return _core.filled_beside(self.picture(), known.astype(np.uint8))
+
     @cached_property
     def _weighted_picture(self) -> NDArray[np.uint8]:
         """`picture` with 255 as the fourth channel, H×W×4; 0 in all channels where there is no surface."""

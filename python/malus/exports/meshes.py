@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from malus import _core
 from malus._files import replacing
 from malus.columns import number
-from malus.errors import DataError
+from malus.errors import DataError, InputError
 from malus.exports.beside import files_beside
 from malus.exports.exporter import Exporter
 from malus.lengths import shown
@@ -38,7 +38,7 @@ def export_glb(exporter: Exporter, path: Path) -> None:
     workspace = exporter.workspace
     with replacing(path) as temporary:  # so that a model that is not turned yet never has the final name
         _core.write_glb(
-            str(temporary), mesh.vertices, mesh.normals, mesh.triangles, exporter.picture(), workspace.camera, exporter.unit,
+            str(temporary), mesh.vertices, mesh.normals, mesh.triangles, exporter.texture(), workspace.camera, exporter.unit,
             exporter.name, extras_of(workspace.quality, workspace.manifest["versions"]), exporter.threads,
         )  # fmt: skip
         if exporter.wishes.y_up:
@@ -59,9 +59,10 @@ def _turn_y_up(path: Path) -> None:
 
 def export_obj(exporter: Exporter, path: Path) -> None:
     """Mesh with its texture and material beside it."""
-    mesh = exporter.simplified()
     texture, material = files_beside("obj", path)
-    save_png(texture, exporter.picture(), exporter.xmp())
+    _require_own_texture(path, texture)
+    mesh = exporter.simplified()
+    save_png(texture, exporter.texture(), exporter.xmp())
     with replacing(material) as temporary:
         temporary.write_text(f"newmtl photograph\nKd 1 1 1\nKs 0 0 0\nmap_Kd {texture.name}\n", encoding="utf-8")
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
@@ -82,6 +83,16 @@ def export_obj(exporter: Exporter, path: Path) -> None:
             # Indices in OBJ files start at 1.
             corners = np.repeat(mesh.triangles[rows].astype(np.int64) + 1, 3, axis=1)
             np.savetxt(file, corners, "f %d/%d/%d %d/%d/%d %d/%d/%d")
+
+
+def _require_own_texture(path: Path, texture: Path) -> None:
+    """InputError if another OBJ file of the folder, whose name differs in spaces, has the texture of this name."""
+    for other in path.parent.glob("*"):  # none if the folder is yet to be made
+        if other.suffix.lower() == ".obj" and other.name != path.name and texture in files_beside("obj", other):
+            raise InputError(
+                f'{path}: its texture {texture.name} would replace that of {other.name}, because "_" stands for a space in names of '
+                "textures; expected another name or folder"
+            )
 
 
 def export_stl(exporter: Exporter, path: Path) -> None:

@@ -24,7 +24,7 @@ from malus.photogrammetry.bench import Bench
 from malus.photogrammetry.control import adjust_datum, move_model, require_control_points
 from malus.photogrammetry.diagnosis import Log, silent
 from malus.photogrammetry.journal import Journal
-from malus.photogrammetry.marks import require_marks_in_photos
+from malus.photogrammetry.marks import marks_in_files, require_marks_in_photos
 from malus.photogrammetry.model import SparseModel
 from malus.photogrammetry.photo_cameras import PhotoCameras, doubts_of_lenses, enough_photos_of, solve_photos
 from malus.photogrammetry.photos import Photo, describe_photo, require_usable_masks
@@ -186,6 +186,7 @@ def _bench(
 def _solved(bench: Bench, said: Mapping[str, Any]) -> tuple[list[Photo], PhotoCameras]:
     """The photos that [photos] names, and their cameras. said: `path`, `photos`, `scale` and `control`."""
     photos = enough_photos_of(said["photos"], bench.log)
+    said = marks_in_files(said, photos)
     require_marks_in_photos(said, photos)
     names = [photo.name for photo in photos]
     require_control_points(said, names)
@@ -216,6 +217,7 @@ def _placed_and_scaled(
     placed, windows = match_windows(bench, photos, solved, views, place_stations(bench, solved, views))
     registered = {name: camera for name, camera in placed.model.cameras.items() if name not in views}
     scale, datum = None, None
+    said = marks_in_files(said, photos)
     try:
         if said["control"]:
             bench.report("scale", 0.0, "frame from control points")

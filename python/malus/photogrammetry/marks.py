@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,22 @@ def _marks(said: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for point in said["control"]:
         for mark in point["marks"]:
             yield f"[[control]] {point['name']}", mark
+
+
+def marks_in_files(said: Mapping[str, Any], photos: Sequence[Photo]) -> dict[str, Any]:
+    """`Station.describe` with the marks' photos as the files are named, also where one of both names writes accents apart from their
+    letters, as macOS does.
+    """
+    named = {unicodedata.normalize("NFC", photo.name): photo.name for photo in photos}
+
+    def renamed(mark: Mapping[str, Any]) -> dict[str, Any]:
+        return {**mark, "image": named.get(unicodedata.normalize("NFC", mark["image"]), mark["image"])}
+
+    return {
+        **said,
+        "scale": [{**bar, **{end: [renamed(mark) for mark in bar[end]] for end in "ab"}} for bar in said["scale"]],
+        "control": [{**point, "marks": [renamed(mark) for mark in point["marks"]]} for point in said["control"]],
+    }
 
 
 def require_marks_in_photos(said: Mapping[str, Any], photos: Sequence[Photo]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import os
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -232,9 +233,15 @@ def require_different(photos: Sequence[Photo]) -> None:
 
 
 def _mask_names(photo: str) -> list[str]:
-    """Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them."""
-    stem = photo[: -len(Path(photo).suffix)]
-    return [f"{photo}.png", f"{stem}.png", f"{stem}_mask.png", f"{photo}.mask.png"]
+    """Names of a photo's mask in the folder of masks, as COLMAP, by the stem alone, Metashape and RealityCapture write them.
+
+    Also with accents as macOS writes them, apart from their letters: files of both kinds meet where folders are copied.
+    """
+    forms = dict.fromkeys([photo, *(unicodedata.normalize(form, photo) for form in ("NFC", "NFD"))])
+    stems = [(name, name[: -len(Path(name).suffix)]) for name in forms]
+    return [
+        mask for name, stem in stems for mask in (f"{name}.png", f"{stem}.png", f"{stem}_mask.png", f"{name}.mask.png")
+    ]
 
 
 def _mask_of(photo: Photo, folder: Path) -> Path | None:
@@ -302,6 +309,8 @@ def _problem_of_mask(path: str, modified_ns: int, length: int) -> str:
 
 
 def _matches(name: str, pattern: str) -> bool:
+    # A keyboard writes é as one sign, macOS in names of files as two.
+    name, pattern = (unicodedata.normalize("NFC", text) for text in (name, pattern))
     # A file's own name is no pattern, even with brackets: "IMG_7 [edited].jpg".
     return any(said == pattern or fnmatch.fnmatchcase(said, pattern) for said in (name, name.rsplit("/", 1)[-1]))
 

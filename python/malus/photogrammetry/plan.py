@@ -13,7 +13,7 @@ from malus.photogrammetry import diagnosis
 from malus.photogrammetry.control import require_control_points
 from malus.photogrammetry.cost import Expected, Work, photos_cost, sweep_cost
 from malus.photogrammetry.front_end import known_lens
-from malus.photogrammetry.marks import require_marks_in_photos
+from malus.photogrammetry.marks import marks_in_files, require_marks_in_photos
 from malus.photogrammetry.photo_cameras import doubts_of_lenses, enough_photos_of, group_by_camera, pairs_to_match
 from malus.photogrammetry.photos import require_usable_masks
 from malus.photogrammetry.program import Colmap
@@ -83,6 +83,7 @@ def plan(
             f"[photos] masks: viewers turn {diagnosis.listed(turned)} by EXIF data, but not the masks; all are taken as their pixels are "
             "stored: were the masks drawn on the turned pictures?"
         )
+    station = marks_in_files(station, photos)
     require_marks_in_photos(station, photos)
     names = [photo.name for photo in photos]
     require_control_points(station, names)

@@ -106,6 +106,20 @@ TEST(Response, a_table_of_other_numbers_than_the_image_is_refused) {
   require(image, "0 0\n200 1\n");
 }
 
+TEST(Response, floating_point_numbers_need_their_white_level) {
+  RawImage raw{Image<float>({20, 1}, 1, 200.F), 32};
+  raw.pixels(0, 0) = 254.5F;
+  PolarizedSpec spec;
+  const auto levels = [&] { return levels_of(raw, spec, {}, 0.995, "raw.tif"); };
+  expect_error(ErrorCode::input, levels, "raw.tif: reaches 254.5, but white is 1", "white_level = 255");
+  spec.white_level = 255;
+  EXPECT_EQ(levels().white_dn, 255);
+  // Highlights may exceed the white of merged exposures.
+  spec.white_level.reset();
+  raw.pixels.fill(1.2F);
+  EXPECT_EQ(levels().white_dn, 1);
+}
+
 TEST(Response, numbers_of_a_sensor_of_fewer_bits_than_its_file_are_doubted) {
   RawImage raw{Image<float>({20, 1}, 1, 4095.F), 16};
   raw.pixels(0, 0) = 1200;

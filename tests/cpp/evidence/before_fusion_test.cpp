@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "evidence_scene.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/evidence/before_fusion_internal.h"
 #include "malus/evidence/contrast_check_internal.h"
 #include "malus/evidence/object_size_internal.h"
@@ -156,6 +157,19 @@ TEST(ObjectSize, WarnsOfDepthsTooCoarseForNormals) {
   const Finding coarse = found(2e6);
   EXPECT_EQ(coarse.severity, Severity::caution) << coarse.text();
   EXPECT_NE(coarse.message.find("2000000"), std::string::npos) << coarse.message;
+}
+
+TEST(BeforeFusion, TheSizeIsThatOfAllRowsAndColumns) {
+  // Of every third row and column from the image's first one, some of the object's last ones were left out.
+  EvidenceScene scene;
+  scene.depth.fill(120);
+  scene.object.fill(0);
+  for_each_pixel(PixelRect{61, 38, 261, 161}, [&](int u, int v) { scene.object(u, v) = 255; });
+  const auto findings = findings_before_fusion(
+      {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
+  ASSERT_EQ(findings[0].check, "size");
+  EXPECT_NEAR(findings[0].figures[0].second, 199 * 0.2, 1e-3);
+  EXPECT_NEAR(findings[0].figures[1].second, 122 * 0.2, 1e-3);
 }
 
 TEST(BeforeFusion, ListsAllFindings) {

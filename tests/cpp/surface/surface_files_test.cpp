@@ -9,6 +9,7 @@
 
 #include "io/temporary_folder.h"
 #include "malus/core/depth_normals_internal.h"
+#include "malus/core/pixel_rect_internal.h"
 #include "malus/io/glb_file_internal.h"
 #include "malus/io/image_file_internal.h"
 #include "malus/io/input_file_internal.h"
@@ -56,6 +57,22 @@ TEST(DisplayImage, FitsWithinAMaximumSideByAveragingBlocks) {
   EXPECT_EQ(small(3, 0), (255 + 137 + 1) / 2);  // the last block is one pixel wide and two high
   EXPECT_EQ(small(3, 1), 137);
   EXPECT_EQ(display_image(color, depth, 100, {}, 7), full);
+}
+
+TEST(DisplayImage, TexturesHaveTheObjectsColorBesideIt) {
+  // A gray image with a mask was black there, which darkened the rim where a viewer shows the object small.
+  Image<float> color({50, 31}, 1, none);
+  const Image<float> depth(color.size(), 1, 1.0f);
+  for_each_pixel(PixelRect{3, 5, 22, 20}, [&](int u, int v) { color(u, v) = u < 12 ? 1.0f : 0.25f; });
+  for (const int longest_side : {50, 7}) {
+    const Image<std::uint8_t> texture = display_texture(color, depth, 100, {}, longest_side);
+    EXPECT_GE(*std::ranges::min_element(texture), 137) << longest_side;
+    EXPECT_EQ(texture(0, 0, 1), 255);
+    EXPECT_EQ(longest_side == 50 ? texture(22, 10) : texture(3, 1), 137) << "just to the right of it";
+  }
+  EXPECT_EQ(display_image(color, depth, 100, {})(0, 0), 0);
+  const Image<float> nothing(color.size(), 1, none);
+  EXPECT_EQ(display_texture(nothing, depth, 100, {}), display_image(nothing, depth, 100, {}));
 }
 
 /// A ball in front of a wall, with holes, large enough for many strips of different sizes.
