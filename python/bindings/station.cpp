@@ -153,8 +153,8 @@ py::dict to_dict(const std::shared_ptr<Results>& run, const Station& station) {
   result["degree"] = map_of(state, &PolarizationState::rho);
   result["phase_rad"] = map_of(state, &PolarizationState::phi);
   result["valid"] = map_of(state, &PolarizationState::valid);
-  result["camera"] = surface ? py::cast(RasterView{surface->camera, surface->pose})
-                     : prior ? py::cast(RasterView{prior->camera, prior->pose})
+  result["camera"] = surface            ? py::cast(RasterView{surface->camera, surface->pose})
+                     : prior            ? py::cast(RasterView{prior->camera, prior->pose})
                      : view && has_pose ? py::cast(RasterView{view->camera, station.file.camera->pose})
                                         : py::none();
   result["status"] = surface  ? py::cast(enum_name(surface->status))

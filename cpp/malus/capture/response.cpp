@@ -180,12 +180,14 @@ ResponseCurve read_response_table(const std::filesystem::path& path) {
 namespace {
 
 /// Input error for a floating-point image of digital numbers whose white level nobody states: nearly all of it would be
-/// saturated at 1.
+/// saturated at 1. Highlights of an image that was put together from several exposures may well be brighter than white.
 void require_shares_of_white(const RawImage& raw, const std::string& name) {
-  // No share of the white level, however far an exposure was scaled; the same for arrays from Python.
   constexpr float too_bright = 10;
   const float largest = *std::ranges::max_element(raw.pixels);
   if (!(largest > too_bright)) return;
+  const auto lit = std::ranges::count_if(raw.pixels, [](float value) { return value > 0; });
+  const auto above_white = std::ranges::count_if(raw.pixels, [](float value) { return value > 1; });
+  if (2 * above_white < lit) return;
   const int bits = std::bit_width(static_cast<unsigned>(std::min(largest, 65535.0F)));
   const int likely = (1 << std::max(bits, 8)) - 1;
   throw input_error(name + ": reaches " + with_digits(largest, 6) +

@@ -200,11 +200,9 @@ std::optional<Finding> caution_of_no_polarization(const PolarizationState& state
   if (share > some_cells) {
     return Finding{"polarization", Severity::caution,
                    "only " + percent(share) + " of the object is polarized beyond the noise",
-                   "is the background in the mask? Average more exposures, or light the object from the side",
-                   figures};
+                   "is the background in the mask? Average more exposures, or light the object from the side", figures};
   }
-  return Finding{"polarization",
-                 Severity::caution,
+  return Finding{"polarization", Severity::caution,
                  "the images are the same at all angles of the polarizer, but for noise: nothing is polarized",
                  "did a linear polarizer turn before the lens? A circular one works only with its thread towards the "
                  "camera",

@@ -116,7 +116,8 @@ TEST(Response, floating_point_numbers_need_their_white_level) {
   EXPECT_EQ(levels().white_dn, 255);
   // Highlights may exceed the white of merged exposures.
   spec.white_level.reset();
-  raw.pixels.fill(1.2F);
+  raw.pixels.fill(0.3F);
+  raw.pixels(0, 0) = 40;
   EXPECT_EQ(levels().white_dn, 1);
 }
 
