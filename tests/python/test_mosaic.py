@@ -83,9 +83,7 @@ def test_mosaic_becomes_a_surface(
     np.testing.assert_array_equal(again.depth, surface.depth)
 
 
-def test_strong_texture_is_not_taken_for_a_missing_filter(
-    mosaic_station: Path, tmp_path: Path
-) -> None:
+def test_strong_texture_is_not_taken_for_a_missing_filter(mosaic_station: Path, tmp_path: Path) -> None:
     """A polarization camera always has its filters. Before a real one, the peel of an orange was called unpolarized."""
     folder = shutil.copytree(mosaic_station.parent, tmp_path / "station")
     image = tifffile.imread(folder / "mosaic.tif").astype(float)
