@@ -189,10 +189,12 @@ std::optional<double> polarization_of_cell(const PolarizationState& state, int c
 std::optional<Finding> caution_of_no_polarization(const PolarizationState& state) {
   constexpr double most_cells = 20000;
   const Size all = cells_over(state.size(), polarization_cell_px);
+  const double share_of_cells =
+      share_of_set(state.valid_pixels(), most_cells * polarization_cell_px * polarization_cell_px);
   std::vector<double> cells;
   for_each_pixel(all, [&](int column, int row) {
     const auto number = static_cast<std::size_t>(row) * all.width + column;
-    if (!is_chosen(number, most_cells / static_cast<double>(all.area()))) return;
+    if (!is_chosen(number, share_of_cells)) return;
     if (const auto found = polarization_of_cell(state, column, row)) cells.push_back(*found);
   });
   if (cells.empty()) return std::nullopt;
