@@ -553,8 +553,8 @@ class SurfaceSection(Section):
     """depth steps between neighboring pixels up to this many GSD are never cut by step_ratio"""
     step_ratio: float
     """the mesh is cut at a depth step larger than min_step_gsd if the step exceeds this many times the steps right before and after it"""
-    max_sigma_gsd: float
-    """the mesh leaves out pixels whose standard deviation of depth exceeds this many GSD, such as ragged rims and guessed parts"""
+    max_sigma_gsd: float | Literal["auto"]
+    """the mesh leaves out pixels whose standard deviation of depth exceeds this many GSD, such as ragged rims and guessed parts; auto = 10, or four times that of the coarse surface if this is more"""
     white_percentile: float
     """intensity percentile that becomes white in the vertex colors"""
     dem_pixel: float | Literal["auto"]
@@ -572,7 +572,7 @@ class SurfaceValues(TypedDict, total=False):
     max_incidence_deg: float
     min_step_gsd: float
     step_ratio: float
-    max_sigma_gsd: float
+    max_sigma_gsd: float | Literal["auto"]
     white_percentile: float
     dem_pixel: float | Literal["auto"]
     glb_triangles: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import malus
-from conftest import QUICK
+from conftest import QUICK, QUICK_WORDS, malus_here
 from malus import synthetic
 from malus.camera import Camera
 
@@ -67,6 +68,19 @@ def test_station_is_reconstructed(tmp_path: Path, prior: str, refinement: dict[s
     assert 1.4826 * np.median(np.abs(error)) < 1
     described = tomllib.loads(station.read_text())
     assert len(described["polarized"]["images"]) == 6
+
+
+def test_a_ball_that_stands_for_the_object_has_a_mesh(tmp_path: Path) -> None:
+    """A stated deviation of 14 GSD is above the usual limit of 10 GSD: the run ended without a mesh."""
+    station = synthetic.write_station(tmp_path, 120, 120, prior="depth")
+    distance = float(np.median(np.load(station.parent / "gt" / "depth_normal_mask.npz")["depth"]))
+    gsd = json.loads((station.parent / "meta.json").read_text())["gsd_mm"]
+    ball = f"sphere = {{ center = [0, 0, {2 * distance}], radius = {distance} }}\nsigma = {14 * gsd}"
+    station.write_text(re.sub("^depth = .*$", ball, station.read_text(), flags=re.MULTILINE))
+    outcome = malus_here("assess", str(station), "-o", str(tmp_path / "work"), *QUICK_WORDS)
+    assert outcome.code == 0, outcome.err
+    assert malus.Workspace(tmp_path / "work").quality["confidence"]["level"] == "low"
+    assert (tmp_path / "work/fused/surface.ply").exists()
 
 
 def test_the_angles_of_a_station_may_be_of_any_type(tmp_path: Path) -> None:

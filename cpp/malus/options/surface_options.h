@@ -13,7 +13,7 @@ struct SurfaceOptions {
   double max_incidence_deg = 85;
   double min_step_gsd = 4;
   double step_ratio = 3;
-  double max_sigma_gsd = 10;
+  std::optional<double> max_sigma_gsd;
   double white_percentile = 99.5;
   std::optional<double> dem_pixel;
   int glb_triangles = 500000;
@@ -33,7 +33,7 @@ struct SurfaceOptions {
           "right before and after it");
     visit("max_sigma_gsd", self.max_sigma_gsd, Range{0.1, 1e9},
           "the mesh leaves out pixels whose standard deviation of depth exceeds this many GSD, such as ragged rims and "
-          "guessed parts");
+          "guessed parts; auto = 10, or four times that of the coarse surface if this is more");
     visit("white_percentile", self.white_percentile, Range{1, 100},
           "intensity percentile that becomes white in the vertex colors");
     visit("dem_pixel", self.dem_pixel, Range{1e-9, 1e9},

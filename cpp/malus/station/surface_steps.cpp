@@ -17,6 +17,7 @@
 #include "malus/lighting/light_from_polarization_internal.h"
 #include "malus/lighting/light_internal.h"
 #include "malus/prior/project_prior_internal.h"
+#include "malus/prior/raster_prior_internal.h"
 #include "malus/station/check_inputs_internal.h"
 #include "malus/station/prior_scale_internal.h"
 #include "malus/station/quality_json_internal.h"
@@ -211,15 +212,18 @@ std::tuple<FusedSurface, RefinementFindings> fuse_by_refinement(const Job& job,
 void write_mesh(const Job& job, const FusedSurface& surface, const ObjectColor& color,
                 const CalibratedPolarization& polarization, const DepthPrior& prior,
                 const RefinementFindings* refinement) {
-  const SurfaceOptions& options = job.options.surface;
   const StationFile& station = job.station.file;
+  const Json facts = facts_of(job, surface, prior, *polarization.state, refinement);
+  SurfaceOptions options = job.options.surface;
+  // A plane or ball has no noise but a stated deviation.
+  const double prior_sigma = prior.noise > 0 ? prior.noise : noise_of(prior, prior.depth);
+  options.max_sigma_gsd = largest_sigma_gsd(options, prior_sigma / facts.at("gsd").get<double>());
   const Image<float>& picture = color.image.empty() ? polarization.state->i_un : color.image;
   // The full mesh is many times larger than the maps it comes from.
   const MeshInStrips mesh = mesh_in_strips(surface, picture, options, job.context);
   // The files are written in parallel, so that their progress would go back and forth.
   Context quiet = job.context;
   quiet.on_progress = nullptr;
-  const Json facts = facts_of(job, surface, prior, *polarization.state, refinement);
   const Json said = surface_words(facts);
   std::vector<std::string> comments;
   for (const auto& [name, words] : said.items()) comments.push_back(name + ": " + words.get<std::string>());

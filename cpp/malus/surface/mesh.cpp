@@ -83,7 +83,7 @@ class Grid {
         camera_(surface.camera),
         step_(options.subsample),
         min_cosine_(std::cos(to_radians(options.max_incidence_deg))),
-        max_sigma_(options.max_sigma_gsd / surface.camera.focal()),
+        max_sigma_(largest_sigma_gsd(options) / surface.camera.focal()),
         size_{(depth_.width() - 1) / step_ + 1, (depth_.height() - 1) / step_ + 1},
         strip_rows_(std::max(1, pixels_of_strip / (depth_.width() * step_))) {
     if (size_.width < 2 || size_.height < 2) return;
@@ -310,6 +310,11 @@ class StripMaker {
 
 }  // namespace
 
+double largest_sigma_gsd(const SurfaceOptions& options, double prior_sigma_gsd) {
+  constexpr double usual = 10, times_the_priors = 4;
+  return options.max_sigma_gsd.value_or(std::max(usual, times_the_priors * prior_sigma_gsd));
+}
+
 MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
                             const Context& context) {
   validate_fields(options, "surface");
@@ -319,8 +324,8 @@ MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& col
   if (maker->vertices() == 0) {
     std::ostringstream message;
     if (options.subsample > 1) message << "with surface.subsample = " << options.subsample << ' ';
-    message << "the fused depth has no connected pixels whose standard deviation is at most " << options.max_sigma_gsd
-            << " GSD (surface.max_sigma_gsd), so there is no surface to mesh";
+    message << "the fused depth has no connected pixels whose standard deviation is at most "
+            << largest_sigma_gsd(options) << " GSD (surface.max_sigma_gsd), so there is no surface to mesh";
     throw data_error(message.str());
   }
   if (maker->vertices() >= unused)

@@ -8,11 +8,16 @@
 
 namespace malus {
 
+/// Largest standard deviation of depth in a mesh, in GSD: options.max_sigma_gsd if stated, else 10 or, if that is more,
+/// four times that of the prior (`prior_sigma_gsd`). A plane or ball that stands for an object is that uncertain
+/// everywhere, and smaller pixels do not make a prior more certain.
+double largest_sigma_gsd(const SurfaceOptions& options, double prior_sigma_gsd = 0);
+
 /// Triangle mesh of the fused depth in the world frame, station unit, counter-clockwise seen from the camera.
 ///
 /// Every cell of the pixel grid becomes two triangles, one, or none. It is split along the diagonal that allows more
 /// triangles, or else along the shorter one in space. A triangle needs three finite depths whose standard deviations do
-/// not exceed max_sigma_gsd GSD (depth / focal). The angle between its normal and the ray must not exceed
+/// not exceed largest_sigma_gsd() GSD (depth / focal). The angle between its normal and the ray must not exceed
 /// max_incidence_deg, and it must not cross a depth discontinuity. There is one between two neighboring pixels if the
 /// depth step between them exceeds both min_step_gsd GSD (depth / focal) and step_ratio times the larger of the steps
 /// right before and after it. Steep relief, whose neighbors are steep too, therefore stays connected, and an occlusion

@@ -104,6 +104,15 @@ TEST(Mesh, EndsWhereTheDepthIsTooUncertain) {
   EXPECT_THROW(mesh_from_depth(plane, {}, {}, {}), Error);
 }
 
+TEST(Mesh, APriorThatIsUncertainEverywhereWidensTheUsualLimitOnly) {
+  EXPECT_EQ(largest_sigma_gsd({}), 10);
+  EXPECT_EQ(largest_sigma_gsd({}, 0.5), 10);
+  EXPECT_EQ(largest_sigma_gsd({}, 14), 56);
+  SurfaceOptions stated;
+  stated.max_sigma_gsd = 3;
+  EXPECT_EQ(largest_sigma_gsd(stated, 14), 3);
+}
+
 TEST(Mesh, SubsampledMeshKeepsTheCutsOfTheFullOne) {
   const FusedSurface step = surface_of({61, 61}, 1000, [](int u, int) { return u < 30 ? 500.0 : 510.0; });
   SurfaceOptions options;
