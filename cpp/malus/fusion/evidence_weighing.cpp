@@ -4,6 +4,7 @@
 #include "malus/core/even_choice_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/fusion/anchor_internal.h"
+#include "malus/fusion/blended_slopes_internal.h"
 #include "malus/fusion/evidence_weighing_internal.h"
 #include "malus/fusion/gain_by_scale_internal.h"
 #include "malus/fusion/refinement_verdict_internal.h"
@@ -146,6 +147,9 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
   const bool is_metal = looks_like_metal(image), settled = has_settled(report);
   const GainByScale::Gains::Scale gain = reduce_to_gain(refinement, x_prior);
   report.shape_share = trust_of_shape(prior, refinement);
+  // A plane or ball that stands for the object says nothing about single depths.
+  const bool is_shape = prior.smoothing_px <= 0 && prior.noise <= 0;
+  Image<float> trusts(image.size());
   parallel_pixels(context, image.object, [&](int u, int v) {
     const auto share = [&](const Image<float>& cells) {
       return between_cells(cells, ExplainedPolarization::cell_px, u, v);
@@ -157,8 +161,10 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
     const double trust = is_metal || !settled ? 0 : report.shape_share * explained;
     const double gained = trust_of_gain(between_cells(gain.gain, gain.cell_px, u, v));
     if (image.pixels(u, v)) report.trust(u, v) = static_cast<std::uint8_t>(std::lround(255 * trust * gained));
-    image.x(u, v) = x_prior(u, v) + trust * (image.x(u, v) - x_prior(u, v));
+    trusts(u, v) = static_cast<float>(trust);
+    if (!is_shape) image.x(u, v) = x_prior(u, v) + trust * (image.x(u, v) - x_prior(u, v));
   });
+  if (is_shape) blend_slopes(image, x_prior, trusts, context);
   anchor_to_prior(image, x_prior, std::min(anchor_length_px(prior, image, options.anchor), refinement.longest_wave_px),
                   context);
   // Assumed errors say nothing, and those of shapes and hulls are systematic.
