@@ -124,7 +124,7 @@ std::string offset_in_words(const PriorAlignment& found, const Tolerance& limits
 }
 
 void say(PriorAlignment& found, Severity severity, std::string message, std::string suggestion) {
-  found.finding.check = "prior";
+  found.finding.check = Check::prior;
   found.finding.severity = severity;
   found.finding.message = std::move(message);
   found.finding.suggestion = std::move(suggestion);

@@ -50,7 +50,7 @@ InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const
   if (const PolarizerCalibration& scale = polarization.polarizer; !scale.doubt.empty()) {
     // Weak mirror reflections raise the question at right scales, too.
     const Severity severity = scale.is_contradicted ? Severity::warning : Severity::caution;
-    evidence.findings.push_back(Finding{"scale", severity, scale.doubt, "", {}});
+    evidence.findings.push_back(Finding{Check::scale, severity, scale.doubt, "", {}});
   }
   if (prior != nullptr) {
     for (Finding& finding : compare_with_prior(job, *polarization.state, view, scene, *prior, of_images)) {

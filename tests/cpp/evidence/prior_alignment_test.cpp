@@ -312,7 +312,7 @@ TEST(PriorAlignment, SaysThatAnObjectIsTooSmallOrThinToBeCompared) {
   for (const EvidenceScene* scene : {&coin, &pin}) {
     for (const PriorAlignment& found :
          {check(*scene, scene->cloud), check_alignment(scene->depth, scene->images(), {})}) {
-      EXPECT_EQ(found.finding.check, "prior");
+      EXPECT_EQ(found.finding.check, Check::prior);
       EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
       EXPECT_NE(found.finding.message.find("too small in the image"), std::string::npos) << found.finding.text();
       EXPECT_GT(found.object_covered, 0.9);
