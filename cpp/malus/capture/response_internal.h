@@ -23,7 +23,7 @@ struct ResponseCurve {
 
   /// True when linear = encoded; values below the black level then stay negative, so that dark means stay unbiased.
   bool is_identity() const { return kind == Kind::linear || (kind == Kind::gamma && exponent == 1); }
-  /// True for a table of DN.
+  /// True for a table of digital numbers (DN).
   bool is_of_numbers() const { return kind == Kind::table && encoded.back() > 1; }
   /// Linear intensity of an encoded one. sRGB: IEC 61966-2-1. Tables are interpolated linearly and held at their ends.
   double linearize(double value) const;

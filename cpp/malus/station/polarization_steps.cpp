@@ -276,8 +276,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
   const PolarizedSpec& polarized = job.station.file.polarized;
   ImageFindings of_images;
-  // Said here and not by the step that judges all findings, because a run may end before that step or have no use for
-  // it.
+  // Logged here and not by the step that judges all findings, because a run may end before that step or not need it.
   const auto add = [&](Finding found) {
     if (found.severity != Severity::note) context.log(LogLevel::warning, found.text());
     of_images.findings.push_back(std::move(found));
@@ -315,7 +314,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   const bool moved =
       std::ranges::any_of(stack.image_from_base, [](const Affine& map) { return map != identity_affine(); });
   if (moved) smooth_polarization(*state, context);
-  // Not said: each unregistered image was already reported.
+  // Not logged: each unregistered image was already reported.
   if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
   add_if_any(angles);
   if (!stack.shared.empty()) {
