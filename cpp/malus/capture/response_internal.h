@@ -49,8 +49,8 @@ struct Levels {
   double saturation = 0.995;  ///< encoded intensity from which a pixel counts as saturated
 };
 
-/// Levels of a raw image: white from the station file, else the last number of a table of DN, from which on all numbers
-/// are alike, else the file's full scale. Input error unless white > black, and for a floating-point image of digital
+/// Levels of a raw image: white from the station file, else the last number of a table of DN, beyond which all numbers
+/// count alike, else the file's full scale. Input error unless white > black, and for a floating-point image of digital
 /// numbers without a stated white level.
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name);

@@ -183,7 +183,7 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
   }
   say(found, Severity::note,
       "the prior lies where the images show the object: best fit " +
-          with_digits(std::hypot(found.right_px, found.down_px), 2) + " px beside; " + detectable_in_words(found),
+          with_digits(std::hypot(found.right_px, found.down_px), 2) + " px away; " + detectable_in_words(found),
       "");
 }
 
