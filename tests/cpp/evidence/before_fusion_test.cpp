@@ -199,7 +199,7 @@ TEST(BeforeFusion, AnInterpolatedPriorThatThePolarizationContradictsIsACaution) 
     }
     const auto findings = findings_before_fusion(
         {.images = scene.images(), .pose = scene.pose, .prior_depth = prior_depth, .cloud = &cloud}, {});
-    return *std::ranges::find(findings, "phase", &Finding::check);
+    return *std::ranges::find(findings, Check::phase, &Finding::check);
   };
   constexpr double everywhere = 300, hardly = 30;
   EXPECT_EQ(phase_with(other.depth, everywhere).severity, Severity::warning);
