@@ -51,7 +51,6 @@ NAMELESS = (
     ("fusion/refinement_weights.cpp", "least_cos2", "std::max(cos2 / count, «0.02»)"),
     ("fusion/shading_fit.cpp", "robust_spread", "std::max(«1.5» * spread, 1e-12)"),
     ("fusion/diffuse_fit.cpp", "smoothness", "const double smoothness = «1e-4» *"),
-    ("fusion/shading_fit.cpp", "darkest", "const double darkest = «0.1» *"),
     ("fusion/diffuse_fit.cpp", "roughnesses", "std::vector{«0.1», «0.15», «0.2», «0.25», «0.3», «0.4»}"),
     ("fusion/specular_fit.cpp", "around_peak", "std::abs(e - peak) < «0.2» * peak"),
     ("fusion/highlight_fit.cpp", "least_lobe_roughness", "std::log(«0.02»)"),

@@ -115,9 +115,9 @@ using FileFindings = std::vector<std::tuple<std::string, std::string, std::strin
 Station with_file_doubts(Station station, const FileFindings& doubts, const FileFindings& notes) {
   station.file_findings.clear();
   for (const auto& [check, message, suggestion] : doubts)
-    station.file_findings.push_back({check, Severity::warning, message, suggestion, {}});
+    station.file_findings.push_back({named<Check>(check, "check"), Severity::warning, message, suggestion, {}});
   for (const auto& [check, message, suggestion] : notes)
-    station.file_findings.push_back({check, Severity::note, message, suggestion, {}});
+    station.file_findings.push_back({named<Check>(check, "check"), Severity::note, message, suggestion, {}});
   return station;
 }
 

@@ -71,7 +71,7 @@ def as_intensities(values: Sequence[ArrayLike] | NDArray[Any], name: str) -> lis
 
 
 def require_shares(images: Sequence[NDArray[Any]], name: str, otherwise: str) -> None:
-    """ValueError if float32 images are plainly no shares of the white level; `otherwise`: what else is expected, for the message."""
+    """ValueError if float32 images are far too bright for shares of the white level; `otherwise`: what else the message says is expected."""
     for k, image in enumerate(images):
         brightest = np.fmax.reduce(image, axis=None)  # without NaN, which would hide all other values
         if image.dtype == np.float32 and brightest > _TOO_BRIGHT:
@@ -122,7 +122,7 @@ def as_rows(
 
 
 def as_colors(values: ArrayLike, name: str, count: int) -> NDArray[np.uint8]:
-    """Colors as bytes, `count`×3; ValueError for those in [0, 1], which all became black, and for those that no byte can have."""
+    """Colors as bytes, `count`×3; ValueError for colors in [0, 1], which would all become black, and for values outside of 0 to 255."""
     colors = as_rows(values, name, count)
     low, high = (colors.min(), colors.max()) if colors.size else (0, 0)
     in_one = np.asarray(values).dtype.kind == "f" and 0 < high <= 1
@@ -143,7 +143,7 @@ def as_triangles(values: ArrayLike, name: str, vertices: int) -> NDArray[np.uint
 
 
 def require_noise(full_well_e: float, read_noise_e: float, frames_averaged: int) -> None:
-    """ValueError for a noise model that no camera has; its variances would be infinite or no numbers, and every pixel usable."""
+    """ValueError for a noise model that no camera has: variances would be infinite or NaN, and every pixel would count as usable."""
     if not (full_well_e > 0 and np.isfinite(full_well_e)):
         raise ValueError(f"full_well_e = {full_well_e}, expected a positive number of electrons")
     if not (read_noise_e >= 0 and np.isfinite(read_noise_e)):

@@ -1,4 +1,4 @@
-"""What the XML of an E57 file needs lest libE57 end the program (signal 11): it follows pointers that it never sets.
+"""Checks of the XML of an E57 file, since faulty XML can make libE57 end the program (signal 11): it follows pointers that it never sets.
 
 It asks every scan's points for their prototype, the list of their fields. Of vectors whose children must be alike it compares
 the prototypes and the codecs.
@@ -16,14 +16,14 @@ from xml.parsers import expat
 _PAGE, _CHECKSUM = 1024, 4
 #: Pages that are read at a time. Many, since some versions of expat start a long token again with every part of it.
 _AT_ONCE = 1024
-#: Elements within each other. libE57's time grows by the square of this number, to half a minute at 100 000.
+#: Most elements nested in each other. libE57's time grows by the square of this number, to half a minute at 100 000.
 _DEEPEST = 100
 
 
 class _Element(NamedTuple):
     name: str
     is_alike: bool  # in a vector whose children must be alike, or such a vector
-    lacking: set[str]  # children that it must have and that did not come yet
+    lacking: set[str]  # required children that have not appeared yet
 
 
 def require_fields_of_points(path: Path) -> None:

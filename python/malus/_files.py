@@ -21,7 +21,7 @@ from typing import Any
 
 from malus.errors import InputError, ResourceError
 
-#: Most bytes of a name that is made of others; file systems have 255, of which a name that is being written takes 30 more.
+#: Most bytes of a name that is put together from other names; file systems allow 255, of which a name that is being written takes 30 more.
 _LONGEST_NAME = 200
 #: Age in seconds from which an unfinished file in a folder that several programs write to is taken to be left by one that was killed.
 UNTIL_LEFT_S = 3600
@@ -52,7 +52,7 @@ def as_text(name: str) -> str:
 
 
 def shortened(name: str) -> str:
-    """A name for a file or folder; one that is too long for file systems as its start and a hash of the whole."""
+    """A name for a file or folder; if it is too long for file systems, its beginning and a hash of the whole."""
     whole = name.encode()
     if len(whole) <= _LONGEST_NAME:
         return name

@@ -50,9 +50,12 @@ def answer(path: str, fields: list[str], out: BinaryIO) -> int | str:
     """Write the points to `out`; returns what the process ends with: 0, `_NO_MEMORY`, or what is wrong with the file."""
     try:
         _decode(path, fields, out)
-    except (MemoryError, ImportError):  # the process that asks has the libraries: here was no room for them
+    except (
+        MemoryError,
+        ImportError,
+    ):  # ImportError: too little memory to load the libraries, which the caller has found
         return _NO_MEMORY
-    except Exception as error:  # whatever a damaged file causes
+    except Exception as error:  # any error that a damaged file causes
         return str(error)
     return 0
 
@@ -70,8 +73,8 @@ def _decode(path: str, fields: list[str], out: BinaryIO) -> None:
 
 
 def _limit_memory(more: int) -> None:
-    """Let this process have so many bytes more, and 64 MB, and what the decoder's threads take: of a damaged file it would take any
-    number that the file states, and fill it with zeros.
+    """Limit this process to so many more bytes, plus 64 MB and what the decoder's threads take. For a damaged file the decoder would
+    allocate whatever size the file states, and fill it with zeros.
     """
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     of_threads = 8_000_000 * (os.cpu_count() or 1)

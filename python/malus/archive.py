@@ -256,7 +256,7 @@ def dublin_core(title: str, known: dict[str, str]) -> str:
     """The entries of [object] as simple Dublin Core, an oai_dc record."""
     elements = [("title", known.get("title", title)), ("type", "Dataset")]
     elements += [(TERMS[key][1], value) for key, value in known.items() if key in TERMS and key != "title"]
-    # The record is of the data set, whose date this is; that of the object stands before it.
+    # This date is that of the data set, which the record describes; the object's own date precedes it.
     elements += [("date", known["recorded_on"])] if "recorded_on" in known else []
     body = "\n".join(f"  <dc:{name}>{escape(value)}</dc:{name}>" for name, value in elements)
     return (

@@ -17,7 +17,7 @@ from malus.threads import ALL_CORES
 
 
 def _as_gsd(gsd: float) -> float:
-    """The GSD; ValueError for a length that no pixel has, by which all figures would be infinite, or have the wrong sign."""
+    """The GSD; ValueError unless it is a positive length: otherwise all figures would be infinite or have the wrong sign."""
     if not (gsd > 0 and np.isfinite(gsd)):
         raise ValueError(f"gsd = {gsd}, expected a positive length: the size of a pixel on the object")
     return float(gsd)

@@ -322,8 +322,8 @@ def _has_results(task: Task) -> bool:
 
 
 def _manifest(task: Task) -> str | None:
-    """SHA-256 of the manifest of a station's results, without times and what the report has, which shows them; None without one, or if
-    it cannot be read. Of two equal runs it is the same, and so are the records of an object that is made of them.
+    """SHA-256 of the manifest of a station's results, without the times and the entry of the report, which shows them; None if there is no
+    manifest or it cannot be read. Two equal runs have the same hash, so that objects made of them have the same records.
     """
     try:
         manifest = json.loads(read_regular(task.workspace / "manifest.json"))

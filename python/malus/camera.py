@@ -56,7 +56,7 @@ class Camera:
         )
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Copies of rotation (3×3) and translation (3) as float64, checked: to change them does not move the camera."""
+        """Copies of rotation (3×3) and translation (3) as float64, checked; changing the copies does not move the camera."""
         rotation = np.array(as_numbers(self.rotation, "rotation"), dtype=np.float64)
         translation = np.array(as_numbers(self.translation, "translation"), dtype=np.float64)
         if rotation.shape != (3, 3):
@@ -127,6 +127,6 @@ def as_view(values: ArrayLike, name: str, camera: Camera) -> NDArray[np.float32]
 
 
 def require_view(camera: Camera | None, shape: tuple[int, ...], of: str) -> None:
-    """ValueError for the camera of images of another size than `shape`, that of the raster or state `of`: its rays are others."""
+    """ValueError unless the camera's images have the size `shape` of the raster or state `of`: its rays would be those of other pixels."""
     if camera is not None and (camera.height, camera.width) != shape:
         raise ValueError(f"camera has shape {(camera.height, camera.width)}, expected {shape} as {of}")

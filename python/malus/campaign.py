@@ -86,7 +86,7 @@ class Task:
         files = [Path(path) for path in station["files"]]
         if "photos" in station:
             for folder in filter(None, (station["photos"]["folder"], station["photos"].get("masks"))):
-                with suppress(InputError):  # too many files: the run complains
+                with suppress(InputError):  # too many files: the run itself raises the error
                     files += sorted(files_below(Path(folder)))
         return files
 
@@ -134,7 +134,8 @@ class Campaign:
 
     def tasks(self, output: str | Path, threads: int, cameras: Path | None = None) -> list[Task]:
         """One task per station, with distinct names: the name of the station file's folder, and the file's own name unless it is
-        station.toml. Names differ by more than capital letters, since on many network disks and memory cards those are one folder.
+        station.toml. Names that differ in capital letters alone do not count as distinct: on many network disks and memory cards they are
+        one folder.
 
         cameras: folder with the cameras of each station in NAME.json, if the stations share one model.
         """
@@ -175,7 +176,7 @@ _KINDS = {"station": ("a station file", "run"), "object": ("an object file", "ob
 
 
 def require_kind(file: Path, expected: str, content: Mapping[str, Any] | None = None) -> None:
-    """Raise InputError, which names the right command, if a TOML file is plainly of another kind: station, object or campaign.
+    """Raise InputError, which names the right command, if a TOML file is clearly of another kind: station, object or campaign.
 
     content: of the file, if it has been read. A file that cannot be read passes: its reader raises the error.
     """
@@ -252,7 +253,7 @@ def options_of(file: Path, content: Mapping[str, Any]) -> Options:
 
 
 def stations_of(file: Path, name: str, table: Mapping[str, Any]) -> tuple[Path, ...]:
-    """The station files in the key `stations` of a table: paths or globs relative to the file, which is itself no match of a glob."""
+    """The station files in the key `stations` of a table: paths or globs relative to the file; no glob matches the file itself."""
     patterns = table.get("stations")
     if not isinstance(patterns, list) or not patterns or not all(isinstance(entry, str) for entry in patterns):
         said = f"= {patterns!r}" if "stations" in table else "is missing"

@@ -41,8 +41,8 @@ def contours(dem: Dem, interval: float | None = None) -> list[Layer]:
     """Contour lines of an elevation model, one layer per height; lines are N×3: x right, y up, elevation.
 
     interval: station unit; by default a round number that gives 10 to 25 lines on the relief without its highest and lowest thousandth,
-    which may be wrong points. The lines go up to the highest point, except by default where that took more than 1000. InputError if
-    an interval gives more than 1000 lines.
+    which may be wrong points. The lines go up to the highest point. Where the default interval would then give more than 1000, they leave
+    out those highest and lowest thousandths. InputError if an interval gives more than 1000 lines.
     """
     import contourpy
 

@@ -58,10 +58,9 @@ def refine(
 ) -> FusedSurface:
     """Refine the prior by nonlinear least squares on log depth (docs/method.md); refractive_index None = from the data.
 
-    reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide). Anything but "auto"
-    excludes the map of the surroundings, and that the object is taken for bare metal unless `metal` states it.
-    metal: "auto", "none", the name of the bare metal that the whole object is of (docs/station-file.md), or its
-    refractive index, n + k i or (n, k).
+    reflection: "auto", "diffuse", "specular", or labels H×W (1 = diffuse, 2 = specular, 0 = decide). With anything but "auto", no map of
+    the surroundings is fitted, and the object is taken for bare metal only if `metal` states it. metal: "auto", "none", the name of the
+    bare metal that the whole object is of (docs/station-file.md), or its refractive index, n + k i or (n, k).
 
     The surface's `confidence` ({"level": "high" | "partial" | "low", "reasons": [...]}) says how far it may be trusted, by
     refinement and comparison with the prior; the functions of malus.evidence say whether prior and images fit each other.

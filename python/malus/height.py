@@ -81,11 +81,11 @@ def solve(
 ) -> HeightMap:
     """Solve the height system; `height` is H×W, in pixels (GSD), positive towards the camera, mean 0, NaN outside.
 
-    camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down,
-    z forward, towards the camera). Without `light` it is estimated with prior_normals (H×W×3), and without both as by
-    `light_from_polarization`, which turns a hollow object upside down. prior_depth (only with `camera`): H×W, z of the coarse
-    surface in the camera, NaN = none. The solution starts from it, continued over its gaps, where that is likelier than the linear
-    solution; with the option height.boundary = "prior" it keeps to it along the outline. `status` says how the solver ended.
+    camera None = orthographic. light: 4 numbers, i_un = light[:3] · n + light[3], n in the camera frame (x right, y down, z forward,
+    towards the camera). Without `light` it is estimated with prior_normals (H×W×3), and without both as by `light_from_polarization`, which
+    takes a hollow object for a raised one. prior_depth (only with `camera`): H×W, z of the coarse surface in the camera, NaN = none. The
+    solution starts from it, continued over its gaps, where that is likelier than the linear solution; with the option height.boundary =
+    "prior" it keeps to it along the outline. `status` says how the solver ended.
     """
     require_view(camera, state.unpolarized.shape, "the state")
     vector = None

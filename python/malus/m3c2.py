@@ -127,8 +127,8 @@ def spread_out(values: NDArray[np.float64], step: int, known: NDArray[np.bool_])
 
 
 def _spacing_px(workspace: Workspace, scan: NDArray[np.float64]) -> float:
-    """Distance between the points of a scan on the surface, in pixels of the station. Neither the surface where the scan has no points
-    counts, nor points behind it, as those of an object's other side.
+    """Distance between the points of a scan on the surface, in pixels of the station. Parts of the surface where the scan has no points do
+    not count, nor do points behind the surface, such as those of an object's other side.
     """
     depth, camera, (rotation, translation) = workspace.raster("fused/depth.tif"), workspace.camera, workspace.pose
     x, y, z = (_moved_back(scan, workspace.quality["reference"]) @ rotation.T + translation).T

@@ -1,6 +1,6 @@
 """The words with which the report names the figures of photographs and sweep in quality.json."""
 
-#: Section of quality.json → path below it → words. Words that end in [%] are for shares, which the report shows as per cent.
+#: Section of quality.json → path below it → words. Words that end in [%] are for shares, which the report shows as percent.
 #: Figures for programmers only are not listed here; they are in quality.json.
 WORDS = {
     "photogrammetry": {

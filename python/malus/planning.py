@@ -71,8 +71,8 @@ def expected_times(
 def _planned(
     description: dict[str, Any], settings: Options, threads: int, width: int, height: int, *, known: bool
 ) -> Plan:
-    """The plan of a station's photos. known: its cameras are found together with those of other stations, from the distances and points
-    of all of them; those that its own file names need not suffice.
+    """The plan of a station's photos. known: its cameras are found together with those of other stations, from the distances and points of
+    all stations, so that those in its own file need not suffice.
     """
     said = {**description, "scale": [], "control": []} if known else description
     return photogrammetry.plan(said, 1e-6 * width * height, options=settings, threads=threads, read_masks=not known)

@@ -31,7 +31,7 @@ def sample_known(raster: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[n
     known = np.isfinite(raster)
     values = np.stack([np.where(known, raster, 0), known], -1).astype(np.float64)
     total, weight = np.moveaxis(sample(values, pixels), -1, 0)
-    # Less is the rounding of a place at the center of a pixel without a value.
+    # A smaller weight is only rounding: the place is the center of a pixel without a value.
     return np.where(weight > 1e-6, total / np.maximum(weight, 1e-6), np.nan)
 
 

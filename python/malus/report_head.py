@@ -29,7 +29,7 @@ class Head:
     photograph: bytes
     width_px: int
     height_px: int
-    #: Width of the scale bar in per cent of the photograph's width, and its length as text.
+    #: Width of the scale bar in percent of the photograph's width, and its length as text.
     bar_percent: float
     bar_label: str
     size: str

@@ -205,7 +205,7 @@ def _color_limits(header: Any) -> list[tuple[float, float]] | None:
 def _e57_scan(library: Any, file: Any, header: Any, size: int) -> Cloud:
     """The valid points [m] of a scan of a file of this size, in the file's common frame, with normals and colors if it has them.
 
-    pye57's own reader knows no fields of extensions, and takes what was in memory before for points that the file does not hold.
+    pye57's own reader does not know fields of extensions, and returns leftover content of memory for points that the file does not hold.
     """
     fields = set(header.point_fields)
     *places, state = next((names for names in _E57_PLACES if set(names[:3]) <= fields), ("", "", "", ""))

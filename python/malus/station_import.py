@@ -228,7 +228,7 @@ def _require_one_count(images: list[Path]) -> None:
     if _LAST_NUMBER in numbers and (0 in numbers or 1 in numbers):
         last = images[numbers.index(_LAST_NUMBER)]
         raise InputError(
-            f"--angles goes by the order of the names, in which {images[0].name} comes first; but the camera counted on to it from "
+            f"--angles goes by the order of the names, in which {images[0].name} comes first; but the camera numbered it after "
             f"{last.name}, expected names in the order of the angles, or a table (--table FILE.csv)"
         )
 

@@ -23,7 +23,8 @@ _XMP_TAG = 700
 #: XML namespace of the properties that say how far the surface may be trusted.
 NAMESPACE = "urn:malus:surface/"
 #: [object] key → property of Dublin Core and its RDF container: "Alt" for text in several languages, "Seq" or "Bag" for lists, "" for none.
-#: Two keys have a property of our own: dc:format is the type of the file in XMP, and a second dc:date would be another of the object's.
+#: Two keys get a property of our own: in XMP dc:format is the type of the file, and a second dc:date would be taken for another date of the
+#: object.
 _PROPERTIES = {
     "title": ("dc:title", "Alt"),
     "identifier": ("dc:identifier", ""),

@@ -290,7 +290,7 @@ def test_every_file_of_the_package_makes_scripts_build_again() -> None:
 
 #: Spellings that are not American, anywhere in a word.
 BRITISH = re.compile(
-    "centre|neighbour|catalogue|colour|grey|behaviour|judgement|metre|polaris[ei]|labelled|modelled|favour|cancelled",
+    "centre|neighbour|catalogue|colour|grey|behaviour|judgement|metre|polaris[ei]|labelled|modelled|favour|cancelled|licence|per cent\\b",
     re.I,
 )
 #: Exceptions: names from other projects, keys of existing files, and a key that is wrong on purpose.

@@ -307,7 +307,7 @@ def test_unit_and_frame_of_a_metashape_project(
         (
             {"IMG_9999.png": None, "IMG_0001.png": None, "IMG_0002.png": None},
             ["--angles", "0,60,120"],
-            "in which IMG_0001.png comes first; but the camera counted on to it from IMG_9999.png",
+            "in which IMG_0001.png comes first; but the camera numbered it after IMG_9999.png",
         ),
         ({"a_0.png": None, "a_0.jpg": None}, ["--angles", "0,45"], "a_0.jpg and a_0.png have the same name"),
         ({"a.png": None}, ["--angles", "0", "--pattern", "(a)"], "--angles and --pattern are both given"),

@@ -101,7 +101,7 @@ def test_every_number_is_that_of_quality_json(work: Path, page: Page) -> None:
             assert (exact, text) == ("", "–"), path
             continue
         assert float(exact) == value, path
-        # The text is the value, or a hundred times the value as per cent, rounded to its last digit.
+        # The text is the value, or a hundred times the value as percent, rounded to its last digit.
         read = float(text.replace(MINUS, "-"))
         half = 0.5000001 * 10.0 ** -len(text.partition(".")[2])
         assert any(abs(read - v) <= half for v in (value, 100 * value)), path

@@ -30,7 +30,7 @@ struct ImageRegistration {
   /// One standard deviation of the displacement, RMS over corners and center, from the scatter of the normal equations
   /// between 96 parts of the image (sandwich estimate): includes errors that noise alone does not explain, such as
   /// edges whose polarization changes their contrast. The part of the normal equations that noise explains counts as no
-  /// information. Infinite if a kind of displacement has hardly any other.
+  /// information. Infinite if noise explains nearly all of them for some kind of displacement.
   double rms_px = 0;
 
   MALUS_FIELDS(status, message, image_from_base, displacement_px, rms_px)

@@ -8,7 +8,7 @@
 namespace malus {
 namespace {
 
-/// Moves that leave less than this share of the texture that the images have in common unmoved are wrong.
+/// Moves are wrong if the moved images have less than this share of the texture in common that the unmoved ones have.
 constexpr double least_kept_texture = 0.5;
 /// Least regression of an image's band on the others' that still counts as the same scene.
 constexpr double least_similarity = 0.25;

@@ -23,7 +23,7 @@ struct ResponseCurve {
 
   /// True when linear = encoded; values below the black level then stay negative, so that dark means stay unbiased.
   bool is_identity() const { return kind == Kind::linear || (kind == Kind::gamma && exponent == 1); }
-  /// True for a table of DN.
+  /// True for a table of digital numbers (DN).
   bool is_of_numbers() const { return kind == Kind::table && encoded.back() > 1; }
   /// Linear intensity of an encoded one. sRGB: IEC 61966-2-1. Tables are interpolated linearly and held at their ends.
   double linearize(double value) const;
@@ -49,8 +49,8 @@ struct Levels {
   double saturation = 0.995;  ///< encoded intensity from which a pixel counts as saturated
 };
 
-/// Levels of a raw image: white from the station file, else the last number of a table of DN, from which on all numbers
-/// are alike, else the file's full scale. Input error unless white > black, and for a floating-point image of digital
+/// Levels of a raw image: white from the station file, else the last number of a table of DN, beyond which all numbers
+/// count alike, else the file's full scale. Input error unless white > black, and for a floating-point image of digital
 /// numbers without a stated white level.
 Levels levels_of(const RawImage& raw, const PolarizedSpec& spec, const ResponseCurve& curve, double saturation,
                  const std::string& name);

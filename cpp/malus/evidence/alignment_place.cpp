@@ -98,10 +98,10 @@ bool is_clear(const Gain& gain, double beyond_sigmas) {
 }
 
 /// The smallest of some offsets at which the best place is clearly better, for both directions of all fields; 0 = none.
-double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
-                     const std::vector<double Similarity::*>& fields, const std::vector<double>& offsets,
-                     double tolerance) {
-  const auto is_told_from = [&](double Similarity::*field, double offset) {
+double smallest_detectable(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best,
+                           const std::vector<double Similarity::*>& fields, const std::vector<double>& offsets,
+                           double tolerance) {
+  const auto is_detected_at = [&](double Similarity::*field, double offset) {
     Similarity moved = best;
     moved.*field += offset;
     const double beyond = (std::abs(offset) - tolerance) / (found.sigma.*field);
@@ -110,7 +110,7 @@ double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& foun
   for (const double offset : offsets) {
     if (offset < tolerance) continue;
     if (std::ranges::all_of(fields, [&](double Similarity::*field) {
-          return is_told_from(field, offset) && is_told_from(field, -offset);
+          return is_detected_at(field, offset) && is_detected_at(field, -offset);
         }))
       return offset;
   }
@@ -118,17 +118,18 @@ double smallest_told(const AlignmentProblem& problem, const AlignmentPlace& foun
 }
 
 /// best and found.sigma: in the problem's pixels.
-ToldOffsets told_offsets(const AlignmentProblem& problem, const AlignmentPlace& found, const Similarity& best) {
+DetectableOffsets detectable_offsets(const AlignmentProblem& problem, const AlignmentPlace& found,
+                                     const Similarity& best) {
   const Tolerance& tolerance = found.tolerance();
   const double extent = problem.pixels.extent;
-  const auto told = [&](const std::vector<double Similarity::*>& fields, std::vector<double> offsets, double least,
-                        double unit) {
+  const auto smallest = [&](const std::vector<double Similarity::*>& fields, std::vector<double> offsets, double least,
+                            double unit) {
     for (double& offset : offsets) offset *= unit;
-    return smallest_told(problem, found, best, fields, offsets, least * unit);
+    return smallest_detectable(problem, found, best, fields, offsets, least * unit);
   };
-  return {told({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
-          told({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, to_radians(1)),
-          told({&Similarity::log_scale}, {0.035, 0.05, 0.08}, tolerance.scale, 1)};
+  return {smallest({&Similarity::du, &Similarity::dv}, {0.012, 0.02, 0.03, 0.05, 0.08}, tolerance.shift, extent),
+          smallest({&Similarity::turn_rad}, {0.6, 1, 1.5, 2, 3, 5}, tolerance.turn_deg, to_radians(1)),
+          smallest({&Similarity::log_scale}, {0.035, 0.05, 0.08}, tolerance.scale, 1)};
 }
 
 double sigmas_beyond(const Similarity& place, const Similarity& sigma, const Tolerance& tolerance, double extent) {
@@ -177,8 +178,8 @@ PlacedScore best_place(const AlignmentProblem& coarse, const AlignmentProblem& f
 /// The best place, without kinds of offsets that cannot be distinguished from the other kinds: for a round object a
 /// turn is left out in favor of a shift, for a cylinder a shift along its axis. A kind is left out if the best place
 /// without it is not clearly worse.
-Similarity without_untold(const AlignmentProblem& problem, const std::vector<Kind>& kinds, const Evidence& evidence,
-                          const Similarity& best, const Context& context) {
+Similarity without_undetectable(const AlignmentProblem& problem, const std::vector<Kind>& kinds,
+                                const Evidence& evidence, const Similarity& best, const Context& context) {
   const AlignmentScore score(problem, kinds, best);
   std::vector<double Similarity::*> kept = all_fields;
   Similarity place = best;
@@ -254,10 +255,10 @@ AlignmentPlace find_place(const ProblemAtFactor& problem_at, Size image, bool qu
       const Tolerance& tolerance = result.tolerance();
       if (std::max(gain.largest, gain.joint) > fair &&
           sigmas_beyond(best.place, result.sigma, tolerance, fine.pixels.extent) > surely)
-        best.place = without_untold(fine, kinds, result.evidence, best.place, context);
+        best.place = without_undetectable(fine, kinds, result.evidence, best.place, context);
       result.beyond_sigmas = sigmas_beyond(best.place, result.sigma, tolerance, fine.pixels.extent);
-      result.told = told_offsets(fine, result, best.place);
-      result.told.shift_px *= fine_factor;
+      result.detectable = detectable_offsets(fine, result, best.place);
+      result.detectable.shift_px *= fine_factor;
     }
     result.place = times(best.place, fine_factor);
     result.sigma = times(result.sigma, fine_factor);

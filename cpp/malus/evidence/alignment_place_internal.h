@@ -15,7 +15,7 @@ struct Tolerance {
 
 /// The smallest offsets that would be detected, in pixels of the image, radians and logarithms of sizes; 0 = no offset
 /// within the search range would be.
-struct ToldOffsets {
+struct DetectableOffsets {
   double shift_px = 0, turn_rad = 0, log_scale = 0;
 };
 
@@ -28,7 +28,7 @@ struct AlignmentPlace {
   double gain_sigmas = 0;    ///< how much more all informative cues together explain at `place` than at the given place
   double largest_gain = 0;   ///< largest such gain of a single cue, in standard deviations
   double beyond_sigmas = 0;  ///< by how many of its own standard deviations the place lies beyond the tolerance
-  ToldOffsets told;
+  DetectableOffsets detectable;
   double extent_px = 0;
   bool by_edges = false;  ///< neither color nor phase is informative; only edges were compared
 

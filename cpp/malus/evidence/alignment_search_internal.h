@@ -26,7 +26,7 @@ struct AlignmentProblem {
 /// cue.
 class AlignmentScore {
  public:
-  /// Uses those of these kinds of cues that the problem has, each with its N at the place `at`.
+  /// Uses the cues of these kinds that the problem has, each with its N at the place `at`.
   AlignmentScore(const AlignmentProblem& problem, const std::vector<AlignmentProblem::Kind>& kinds,
                  const Similarity& at);
 

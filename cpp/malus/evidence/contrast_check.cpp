@@ -17,7 +17,7 @@ const double halfway_to_encoded = std::sqrt(encoding), halfway_to_decoded_twice 
 
 Finding check_contrast(const AlignmentEvidence& color, const Response& response, bool known_linear) {
   Finding finding;
-  finding.check = "contrast";
+  finding.check = Check::contrast;
   finding.message =
       "whether the images' contrast is that of linear images could not be checked: no colors of the prior go with it";
   if (!color.available || color.at_best < least_explained) return finding;

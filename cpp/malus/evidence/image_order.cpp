@@ -110,7 +110,7 @@ ImageOrder check_image_order(const std::vector<Image<float>>& images, const std:
   ImageOrder result;
   result.angles_rad = angles_rad;
   Finding& finding = result.finding;
-  finding.check = "order";
+  finding.check = Check::order;
   // Images shifted by a fraction of a pixel differ where brightness changes from pixel to pixel, which in some order
   // looks like polarization. Means over several pixels suppress this; polarization hardly changes over them.
   constexpr int reach_px = 2;

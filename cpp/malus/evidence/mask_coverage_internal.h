@@ -7,8 +7,8 @@
 namespace malus {
 
 struct MaskCoverage {
-  /// Shares of the object and of its surroundings that the prior covers. `object` is NaN if the object, small or thin,
-  /// fills most of no pixel of the views: they do not show it.
+  /// Shares of the object and of its surroundings that the prior covers. `object` is NaN if the object is so small or
+  /// thin that it does not fill half of any pixel of the views.
   double object = 0, beside = 0;
   double black = 0;   ///< share of the image outside the object
   double border = 0;  ///< share of the image's border that the object covers

@@ -126,7 +126,7 @@ ObjectSize object_size(const std::vector<Eigen::Vector3d>& points_in_cam, const 
 
   const double meters = length_unit(unit).meters, larger = std::max(size.width, size.height);
   Finding& finding = size.finding;
-  finding.check = "size";
+  finding.check = Check::size;
   finding.message = "the object is " + in_words(size.width * meters) + " wide and " + in_words(size.height * meters) +
                     " high, " + in_words(size.distance * meters) + " from the camera; one pixel is " +
                     in_words(size.gsd * meters);

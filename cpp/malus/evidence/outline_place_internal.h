@@ -18,8 +18,8 @@ struct OutlinePlace {
   /// Whether the prior gains much by a motion larger than the usual offset between the edges of right priors and their
   /// objects.
   bool is_offset() const;
-  /// Half a step of the search. Every larger part of an offset is one: neither shift nor size need be beyond the usual
-  /// offset by itself.
+  /// Half a step of the search: a larger shift or change of size is stated in words, because both together exceed the
+  /// usual offset, though neither need do so alone.
   Tolerance half_step() const;
 };
 

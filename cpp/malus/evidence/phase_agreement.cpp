@@ -38,7 +38,7 @@ PhaseAgreement::Part part_of(const std::vector<PhaseCell>& cells) {
 Finding finding_of(PhaseAgreement& agreement) {
   const PhaseCoherence& overall = agreement.overall;
   Finding finding;
-  finding.check = "phase";
+  finding.check = Check::phase;
   finding.figures = {{"cells", static_cast<double>(overall.cells)},
                      {"disagreement", overall.disagreement},
                      {"disagreement_sigma", overall.disagreement_sigma},

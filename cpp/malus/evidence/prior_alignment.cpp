@@ -66,9 +66,9 @@ void take(const AlignmentPlace& place, PriorAlignment& alignment) {
   alignment.turn_sigma_deg = to_degrees(place.sigma.turn_rad);
   alignment.scale_sigma = place.sigma.log_scale;
   alignment.gain_sigmas = place.gain_sigmas;
-  alignment.told_shift_px = place.told.shift_px;
-  alignment.told_turn_deg = to_degrees(place.told.turn_rad);
-  alignment.told_scale = place.told.log_scale;
+  alignment.detectable_shift_px = place.detectable.shift_px;
+  alignment.detectable_turn_deg = to_degrees(place.detectable.turn_rad);
+  alignment.detectable_scale = place.detectable.log_scale;
 }
 
 std::string joined(const std::vector<std::string>& parts, const char* last) {
@@ -82,19 +82,20 @@ std::string joined(const std::vector<std::string>& parts, const char* last) {
 
 /// Which offsets the check would detect here: "a shift from 5 px and a turn from 1.5° on would be noticed, but not
 /// another size".
-std::string told_in_words(const PriorAlignment& found) {
-  std::vector<std::string> told, untold;
+std::string detectable_in_words(const PriorAlignment& found) {
+  std::vector<std::string> detectable, undetectable;
   const auto add = [&](const char* what, double from, const std::string& from_in_words) {
     if (from > 0)
-      told.push_back(what + (" from " + from_in_words));
+      detectable.push_back(what + (" from " + from_in_words));
     else
-      untold.emplace_back(what);
+      undetectable.emplace_back(what);
   };
-  add("a shift", found.told_shift_px, rounded(found.told_shift_px, 0) + " px");
-  add("a turn", found.told_turn_deg, rounded(found.told_turn_deg, 1) + "°");
-  add("another size", found.told_scale, rounded(100 * found.told_scale, 1) + " %");
-  if (told.empty()) return "an offset of some percent would not be noticed";
-  return joined(told, " and ") + " on would be noticed" + (untold.empty() ? "" : ", but not " + joined(untold, " or "));
+  add("a shift", found.detectable_shift_px, rounded(found.detectable_shift_px, 0) + " px");
+  add("a turn", found.detectable_turn_deg, rounded(found.detectable_turn_deg, 1) + "°");
+  add("another size", found.detectable_scale, rounded(100 * found.detectable_scale, 1) + " %");
+  if (detectable.empty()) return "an offset of some percent would not be noticed";
+  return joined(detectable, " and ") + " on would be noticed" +
+         (undetectable.empty() ? "" : ", but not " + joined(undetectable, " or "));
 }
 
 /// The parts of an offset beyond these limits: "5.1 mm (17 px) too far left", "turned by 1.2° clockwise", "5 % too
@@ -123,7 +124,7 @@ std::string offset_in_words(const PriorAlignment& found, const Tolerance& limits
 }
 
 void say(PriorAlignment& found, Severity severity, std::string message, std::string suggestion) {
-  found.finding.check = "prior";
+  found.finding.check = Check::prior;
   found.finding.severity = severity;
   found.finding.message = std::move(message);
   found.finding.suggestion = std::move(suggestion);
@@ -143,9 +144,9 @@ void add_figures(PriorAlignment& found) {
              {"turn_sigma_deg", found.turn_sigma_deg},
              {"scale_sigma", found.scale_sigma},
              {"gain_sigmas", found.gain_sigmas},
-             {"told_shift_px", found.told_shift_px},
-             {"told_turn_deg", found.told_turn_deg},
-             {"told_scale", found.told_scale}};
+             {"detectable_shift_px", found.detectable_shift_px},
+             {"detectable_turn_deg", found.detectable_turn_deg},
+             {"detectable_scale", found.detectable_scale}};
   const auto add = [&](const std::string& name, const AlignmentEvidence& cue) {
     if (!cue.available) return;
     figures.emplace_back(name + "_as_given", cue.as_given);
@@ -182,7 +183,7 @@ void judge_place(const AlignmentPlace& place, const std::string& unit, PriorAlig
   }
   say(found, Severity::note,
       "the prior lies where the images show the object: best fit " +
-          with_digits(std::hypot(found.right_px, found.down_px), 2) + " px beside; " + told_in_words(found),
+          with_digits(std::hypot(found.right_px, found.down_px), 2) + " px away; " + detectable_in_words(found),
       "");
 }
 

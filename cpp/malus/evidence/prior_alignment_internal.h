@@ -47,7 +47,7 @@ struct PriorAlignment {
   double shift_sigma_px = 0, turn_sigma_deg = 0, scale_sigma = 0;
   double gain_sigmas = 0;  ///< of color, phase and edges together
   /// The smallest offsets that would be detected on this object; 0 = none within the search range would be.
-  double told_shift_px = 0, told_turn_deg = 0, told_scale = 0;
+  double detectable_shift_px = 0, detectable_turn_deg = 0, detectable_scale = 0;
   /// A variant that fits better than the given input: "the images are turned by 180°", …; empty = none.
   std::string instead;
   Finding finding;

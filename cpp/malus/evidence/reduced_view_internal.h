@@ -35,7 +35,7 @@ struct PriorView {
 };
 
 /// The camera whose pixels each cover factor × factor pixels of this one; incomplete pixels at the border are cut off,
-/// but for those of an image that is narrower than one of them.
+/// except in an image that is narrower than one pixel.
 Pinhole reduced_camera(const Pinhole& camera, int factor);
 
 /// View of a cloud through a reduced camera. Points hidden behind others are left out and, if the cloud has normals,

@@ -69,7 +69,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
   const PixelSamples samples = pixel_samples(images, angles_rad, mask, 0, context);
   ResponseCheck result;
   Finding& finding = result.finding;
-  finding.check = "response";
+  finding.check = Check::response;
   if (!can_be_bent(angles_rad)) {
     finding.message = "whether the images are linear could not be checked: expected four different angles or more";
     return result;
@@ -121,7 +121,7 @@ ResponseCheck check_response(const std::vector<Image<float>>& images, const std:
 Finding response_finding(const Finding& as_read, const Finding& fitted) {
   if (as_read.severity == fitted.severity) return fitted;
   Finding finding;
-  finding.check = "response";
+  finding.check = Check::response;
   finding.message =
       "whether the images are linear could not be checked: what bends the sinusoid is a response curve or wrong "
       "angles";
@@ -131,7 +131,7 @@ Finding response_finding(const Finding& as_read, const Finding& fitted) {
 }
 
 bool says_linear(const Finding& finding) {
-  return finding.check == "response" && finding.severity == Severity::note &&
+  return finding.check == Check::response && finding.severity == Severity::note &&
          std::ranges::any_of(finding.figures, [](const auto& figure) {
            return figure.first == "bend_sigma" && figure.second <= largest_sigma;
          });

@@ -167,7 +167,7 @@ void weigh_evidence(const DepthPrior& prior, Refinement& refinement) {
   if (is_shape) blend_slopes(image, x_prior, trusts, context);
   anchor_to_prior(image, x_prior, std::min(anchor_length_px(prior, image, options.anchor), refinement.longest_wave_px),
                   context);
-  // Assumed errors say nothing, and those of shapes and hulls are systematic.
+  // Assumed standard deviations are no evidence, and the errors of shapes and hulls are systematic.
   const bool is_stated = prior.noise > 0 && !prior.assumes_sigma && prior.hull_fraction <= 0.5;
   if (prior.smoothing_px > 0 || is_stated) stay_near_prior(prior, refinement, x_prior);
   if (prior.smoothing_px > 0) shrink_slow_waves(image, x_prior, prior.smoothing_px, context);

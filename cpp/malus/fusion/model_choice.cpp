@@ -81,7 +81,7 @@ void ModelChoice::choose(bool may_be_metal) {
 
 /// Tries the map of the surroundings. Returns whether it explains a metal, or clearly more than the regions do.
 bool ModelChoice::take_map(bool may_be_metal, double by_regions) {
-  // The map has hundreds of parameters more, and these explain a part of any data.
+  // The map has hundreds of additional parameters, which explain a part of any data.
   constexpr double clearly = 0.1;
   RefinementImage& image = refinement_.image;
   RefineReport& report = refinement_.report;

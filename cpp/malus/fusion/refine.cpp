@@ -134,7 +134,7 @@ class Rounds {
       round(1, true, true);
   }
 
-  /// The smallest part with all of the object whose borders are prior blocks' or the image's.
+  /// The smallest part that holds the whole object and whose borders are those of prior blocks or of the image.
   PixelRect part_with_object() const {
     const PixelRect box = bounding_box(image_.object);
     return {box.u0 - box.u0 % prior_block_px, box.v0 - box.v0 % prior_block_px,

@@ -51,7 +51,7 @@ double fit_diffuse_regions(const std::vector<ReflectionSample>& samples, Refinem
   return 1 - fit.cost / std::max(fit.cost_without_lobe, 1e-12);
 }
 
-/// Residuals are left out where the surface is the prior's: the model need not explain them.
+/// Leaves out residuals where the surface is the prior's: the model need not explain them.
 void leave_out_the_priors(const Image<std::uint8_t>& trust, const StripField& strip, Image<float>& squared) {
   constexpr std::uint8_t half = 128;
   for_each_pixel(PixelRect{0, strip.rows.begin, squared.width(), strip.rows.end}, [&](int u, int v) {
@@ -93,7 +93,7 @@ void Refinement::fit_reflection() {
 }
 
 WeightOptions Refinement::weights(double widening, bool regional) const {
-  // If there is a light source that casts shadows and highlights, regions that fit badly are such.
+  // Where a light source casts shadows and highlights, regions that fit badly are shadows or highlights.
   constexpr double telling_gain = 0.15, regional_sigma_px = 2;
   const bool weighs_regions = regional && options.regional_weights && lobe_gain > telling_gain;
   return {options, widening, weighs_regions ? regional_sigma_px : 0, binning};

@@ -21,11 +21,10 @@ ShadingHarmonics shading_basis(const Eigen::Vector3d& n) {
 }
 
 LogShading log_shading(const ShadingHarmonics& harmonics, const RayFrame& frame, double p, double q) {
-  constexpr double darkest = 0.1;  // as in the fits
   const double slant2 = 1 + p * p + q * q, scale = 1 / std::sqrt(slant2);
   const Eigen::Vector3d n = (p * frame.right + q * frame.up + frame.view) * scale;
   const double shading = harmonics.dot(shading_basis(n));
-  if (shading <= darkest) return {std::log(darkest), 0, 0};
+  if (shading <= darkest_shading) return {std::log(darkest_shading), 0, 0};
   const Eigen::Vector3d by_n = shading_by_normal(harmonics, n);
   const double along = by_n.dot(n) / slant2;
   return {std::log(shading), (by_n.dot(frame.right) * scale - along * p) / shading,

@@ -64,8 +64,8 @@ ShadingHarmonics fit_body_shading(const std::vector<ReflectionSample>& samples, 
     const MirroredLightTable& mirrored = *model.table_of(s.other_finish);
     values[i] = std::max(s.s0 - mirrored.at(s.slopes.p, s.slopes.q, s.frame).stokes[0], 0.0);
   }
-  // Errors are relative down to a tenth of the usual light. A metal has no body light.
-  const double darkest = 0.1 * median(std::vector<double>(values.begin(), values.end()));
+  // Errors are relative to the body light, or to this limit where it is darker. A metal has no body light.
+  const double darkest = darkest_shading * median(std::vector<double>(values.begin(), values.end()));
   if (darkest <= 0) return harmonics;
   Eigen::VectorXd errors = values.cwiseMax(darkest);
   for (int round = 0; round < 4; ++round) {

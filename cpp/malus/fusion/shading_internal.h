@@ -10,6 +10,9 @@ namespace malus {
 /// of a Lambertian body's shading under any distant light (Ramamoorthi and Hanrahan 2001).
 using ShadingHarmonics = Eigen::Matrix<double, 9, 1>;
 
+/// Least shading that is distinguished from darkness, relative to the usual light.
+inline constexpr double darkest_shading = 0.1;
+
 /// Basis functions of a unit normal, camera frame; the functions are not normalized.
 ShadingHarmonics shading_basis(const Eigen::Vector3d& n);
 

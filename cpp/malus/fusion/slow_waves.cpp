@@ -13,7 +13,7 @@ namespace malus {
 
 void shrink_slow_waves(RefinementImage& image, const Image<double>& x_prior, double smoothing_px,
                        const Context& context) {
-  constexpr double around = 2;  // mean squares of a place are taken over so many of its waves' lengths
+  constexpr double around = 2;  // mean squares are taken over so many lengths of the waves
   const double wave_px = waves_of_prior * smoothing_px;
   // Cells save time and memory, and are small compared with the waves.
   int cell_px = 1;

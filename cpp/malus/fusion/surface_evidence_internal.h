@@ -12,10 +12,9 @@ namespace malus {
 /// components with any model. The prior's slopes were not fitted to the polarization. They lack detail, but over cells
 /// of 16 px they are accurate enough that a correct model explains most of the mean (s1, s2), and a wrong one does not.
 /// The share of a cell is 1 − 2 r² / (r² + t²), with t its mean Stokes vector and r the residual of t at the prior's
-/// slopes: 1 = all is explained, 0 = nothing, −1 = the prediction is far worse than none. A model with many parameters
-/// has one for every direction, so that it explains any polarization on a nearly flat object. With `beyond_a_plane`, t
-/// is therefore the residual at the slopes of a plane with the object's mean normal. Cells are pooled by a Gaussian of
-/// two cells.
+/// slopes: 1 = all is explained, 0 = nothing, −1 = the prediction is far worse than none. A model with a parameter for
+/// every direction explains any polarization on a nearly flat object. With `beyond_a_plane`, t is therefore the
+/// residual at the slopes of a plane with the object's mean normal. Cells are pooled by a Gaussian of two cells.
 class ExplainedPolarization {
  public:
   /// `mean_normal` is the object's, camera frame.

@@ -14,7 +14,7 @@ inline constexpr int surface_sigma_reach_px = 72;
 struct PriorErrors {
   double smoothing_px = 0;      ///< length over which the prior smooths its points; 0 = no smoothing
   bool shares_windows = false;  ///< smoothing does not average its points' noise (DepthPrior::shares_windows)
-  /// Noise of a point [GSD]. More than that is no noise but the uncertainty of a hole, which does not average out.
+  /// Noise of a point [GSD]. What exceeds it is not noise but the uncertainty in a hole, which does not average out.
   double noise_gsd = std::numeric_limits<double>::infinity();
 };
 

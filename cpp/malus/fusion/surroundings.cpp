@@ -93,7 +93,7 @@ void CellLights::mirrored(double p, double q, const RayFrame& frame, double roug
       specular[i] = static_cast<float>(metal.specular);
     }
   }
-  // Where nothing is mirrored, the other factors may be infinite.
+  // Where no light is mirrored, the other factors may be infinite.
   const auto visible = weight > 0.0F;
   out.row(0) = visible.select(weight * reflectance, 0.0F).matrix().transpose();
   out.row(1) = visible.select(-weight * specular * (hp.square() - hq.square()), 0.0F).matrix().transpose();

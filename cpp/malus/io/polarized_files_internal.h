@@ -30,9 +30,8 @@ std::vector<std::filesystem::path> list_images(const std::filesystem::path& base
 /// Polarizer angles [deg] from the files' names, one per file. Throws an input error that lists the names unless the
 /// angles are beyond doubt, since a file's number is not an angle. A number is an angle only beside a word (pol, angle,
 /// deg, rot, °) or, if it is the last of the name, in a folder with such a word. A dash before it is its sign if other
-/// names have none. All angles together must be a
-/// polarizer's series: multiples of 5 or 22.5 with 0 (or 180) among them, three or more modulo 180, not counted in
-/// small steps.
+/// names have none. All angles together must be a polarizer's series: multiples of 5 or 22.5 with 0 (or 180) among
+/// them, three or more modulo 180, not counted in small steps.
 ///
 /// where: the field, for the message; instead: the end of the message, what to do otherwise.
 std::vector<double> angles_of_names(const std::vector<std::filesystem::path>& files, const std::string& where,

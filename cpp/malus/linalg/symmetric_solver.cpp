@@ -75,7 +75,6 @@ struct SymmetricSolver::Impl {
   Eigen::Index unknowns = 0;
   Eigen::Index entries = 0;
   double factor_bytes = 0;
-  double relative_residual = 0;
 };
 
 SymmetricSolver::SymmetricSolver(const Context& context) : impl_(std::make_unique<Impl>(context)) {}
@@ -131,8 +130,7 @@ SolveStatus SymmetricSolver::solve(const Matrix& lower, const Eigen::VectorXd& b
     x += rest;
     rest = residual();
   }
-  impl_->relative_residual = rest.norm() / scale;
-  return impl_->relative_residual <= residual_limit ? SolveStatus::solved : SolveStatus::inaccurate;
+  return rest.norm() / scale <= residual_limit ? SolveStatus::solved : SolveStatus::inaccurate;
 }
 
 void SymmetricSolver::solve_columns(Eigen::MatrixXd& columns) const {
@@ -161,10 +159,6 @@ double SymmetricSolver::log_determinant() const {
 
 double SymmetricSolver::factor_bytes() const {
   return impl_->factor_bytes;
-}
-
-double SymmetricSolver::relative_residual() const {
-  return impl_->relative_residual;
 }
 
 }  // namespace malus

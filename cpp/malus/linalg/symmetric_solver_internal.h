@@ -49,8 +49,6 @@ class SymmetricSolver {
 
   /// Memory that the factor takes, known after analyze() and before it is allocated.
   double factor_bytes() const;
-  /// |A x − b| / |b| of the last solve.
-  double relative_residual() const;
 
  private:
   struct Impl;

@@ -95,7 +95,7 @@ OrientedPoints object_points(std::span<const ObjectView> views, std::span<const 
   for (const OrientedPoints& cloud : clouds) cloud.validate();
   std::vector<double> gsds = gsds_of(views);
   const double gsd = percentile_in_place(gsds, 0.5);
-  // Agreements have a raster for each view, which are too many to be kept for nothing.
+  // Agreements are not kept: each holds a raster of a view, and nothing here needs them.
   OrientedPoints seen =
       combined_points(views, joined({clouds.begin(), clouds.end()}), context, [](const Agreement&) {});
   seen = without_coarser(std::move(seen), gsd, context);

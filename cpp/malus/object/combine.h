@@ -39,17 +39,18 @@ struct Agreement {
   Image<float> ratio;
   std::vector<double> distances;  ///< single ones; if there are millions, only those of every n-th pixel
   std::vector<double> expected;   ///< their standard deviations
-  /// How many others there are at these pixels that contradict the place: surfaces more than twelve standard deviations
-  /// apart, one of which is seen through by the station of the other.
+  /// Number of other stations' surfaces, over all these pixels, that contradict the place: they lie more than twelve
+  /// standard deviations away, and one of the two stations looks through the surface of the other.
   std::size_t contradictions = 0;
 };
 
-/// Over all places that two stations see; none if there are none. Contradictions count in their share alone.
+/// Over all places that two stations see; nothing without such places. Contradictions count only in
+/// `contradicted_fraction`.
 struct AgreementFigures {
   std::optional<double> rms_ratio;         ///< RMS of distance over standard deviation
   std::optional<double> within_two_sigma;  ///< share
   std::optional<double> rms_gsd, median_gsd;
-  std::optional<double> contradicted_fraction;  ///< share of contradictions in these and the distances
+  std::optional<double> contradicted_fraction;  ///< share of contradictions among all comparisons
 
   MALUS_FIELDS(rms_ratio, within_two_sigma, rms_gsd, median_gsd, contradicted_fraction)
 };

@@ -9,7 +9,7 @@ namespace {
 
 constexpr std::size_t places_in_a_block = 1 << 12;
 
-/// OpenCV's matrices have no type for values that stay as they are; the tree only reads them.
+/// OpenCV's matrices have no type for constant values; the tree only reads them.
 cvflann::Matrix<double> rows_of(std::span<const Eigen::Vector3d> points) {
   return {const_cast<double*>(points.data()->data()), points.size(), 3};
 }

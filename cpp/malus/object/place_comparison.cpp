@@ -10,7 +10,7 @@ namespace {
 
 /// Whether the other view, whose surface lies there, would see the place if it existed, but sees what is behind it.
 bool sees_through(const OtherView& other, const Place& place, const PlaceComparison& there) {
-  // Nearer than `farthest`, the other cannot tell whether the place is on its surface.
+  // A place nearer to the other's surface than `farthest` may be on that surface.
   const double least = std::max(contradicting_ratio * there.spread(place), other.farthest);
   return -there.apart > least && facing(*other.view, place.point, place.normal) > least_cosine;
 }
@@ -34,7 +34,7 @@ std::vector<OtherView> others_of(std::span<const ObjectView> views, std::size_t 
   for (std::size_t k = 0; k < views.size(); ++k) {
     if (k == which) continue;
     const ObjectView& other = views[k];
-    // What the other cannot resolve may lie as far from its surface as from that of a view with its pixels.
+    // If the other's pixels are clearly larger, its surface lacks detail, and may be off by so many of its own pixels.
     const double pixels = 2 * (resolves_more(view, other) ? other.gsd : view.gsd);
     const double usual = most_ratio * std::hypot(view.usual_sigma, other.usual_sigma);
     others.push_back({&other, 1 / square(other.usual_sigma), std::max(usual, pixels)});

@@ -30,8 +30,8 @@ struct OtherView {
   double farthest;          ///< surfaces farther apart are not the same
 };
 
-/// No error of one surface is so many standard deviations large: two that are farther apart contradict each other, if
-/// both should see what is nearer.
+/// No surface is wrong by so many of its standard deviations: two that are farther apart contradict each other, if both
+/// stations should see the nearer one.
 inline constexpr double contradicting_ratio = 3 * most_ratio;
 
 /// All views but number `which`.

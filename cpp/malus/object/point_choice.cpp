@@ -13,8 +13,8 @@
 namespace malus {
 namespace {
 
-/// Points of a cloud that are nearer than this many of their standard deviations to a point of a station, in whatever
-/// direction, are stereo's mistakes, as in creases.
+/// Points of a cloud that lie within this many of their standard deviations of a station's point, in any direction, are
+/// mistakes of stereo, as in creases.
 constexpr double most_near = 6;
 /// Stereo supports a place that one station alone sees if at least `witnesses` of the `of_nearest` nearest cloud points
 /// lie within so many of their pixels (OrientedPoints::scale), and within so many along the normal.

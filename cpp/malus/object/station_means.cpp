@@ -110,14 +110,14 @@ class PlaceMean {
   int compared_ = 0;
 };
 
-/// Single distances are kept at pixels with numbers that are multiples of this: there may be one of each other view.
+/// Single distances are kept only at every n-th pixel, because each pixel may have one distance for every other view.
 std::size_t distance_step(const ObjectView& view, std::size_t others) {
   std::size_t usable = 0;
   for (std::size_t i = 0; i < view.camera.size.area(); ++i) usable += view.usable[i] != 0;
   return std::max<std::size_t>(1, usable * others / most_compared);
 }
 
-/// What StationMeans has, of a block of pixels.
+/// The content of StationMeans for a block of pixels.
 struct MeansOfBlock {
   OrientedPoints believed, doubtful;
   std::vector<Distance> distances;

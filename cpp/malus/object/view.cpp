@@ -58,7 +58,7 @@ Mask rims(const FusedSurface& surface, const Context& context) {
     const double slope2 = 1 / square(std::max(cosine_at(surface, u, v), least_cosine)) - 1;
     return most_step_gsd * gsd_at(surface, u, v) * (1 + std::sqrt(std::max(slope2, 0.0)));
   };
-  // Next to an unknown pixel no difference exceeds anything.
+  // A difference from an unknown pixel is NaN, which exceeds no limit.
   const auto is_step = [&](int u, int v, int other_u, int other_v) {
     if (!surface.depth.contains(other_u, other_v)) return false;
     const double step = std::abs(surface.depth(u, v) - surface.depth(other_u, other_v));

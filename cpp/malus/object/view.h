@@ -75,10 +75,10 @@ double median_gsd(const FusedSurface& surface);
 /// The usual limit for `view_maps`: four GSD or, if that is more, four standard deviations of a point of the station's
 /// prior (DepthPrior::noise, station unit), because smaller pixels do not make a prior more certain.
 double most_sigma_gsd(double gsd, double prior_noise);
-/// What ObjectView::shared_px is to be, from the length over which the station's prior was smoothed
+/// The value for ObjectView::shared_px, from the length over which the station's prior was smoothed
 /// (DepthPrior::smoothing_px; decision 121).
 double shared_px(double smoothing_px);
-/// What ObjectView::usual_sigma is to be, from the view's rasters and its GSD.
+/// The value for ObjectView::usual_sigma, from the view's rasters and its GSD.
 double usual_sigma(const ObjectView& view);
 
 }  // namespace malus

@@ -27,7 +27,7 @@ constexpr double mirrored_lamp = 0.02, mirrored_lamp_slope = 0.4;
 bool degrees_are_specular(const std::vector<PhaseCell>& cells, double eta) {
   std::vector<double> ratios;
   for (const PhaseCell& cell : cells) {
-    if (cell.slopes.tan2() < 0.13) continue;  // 20°
+    if (cell.slopes.tan2() < steep_tan2) continue;
     const double zenith = std::atan(std::sqrt(cell.slopes.tan2()));
     ratios.push_back(std::abs(cell.polarization()) / diffuse_degree(zenith, eta));
   }

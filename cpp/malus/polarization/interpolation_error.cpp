@@ -4,6 +4,7 @@
 
 #include "malus/core/masked_blur_internal.h"
 #include "malus/polarization/interpolation_error_internal.h"
+#include "malus/polarization/smoothing_internal.h"
 
 namespace malus {
 namespace {
@@ -14,8 +15,6 @@ constexpr float smallest_factor = 4;
 /// Variance of s1 and s2 over that of the residual: texture is weaker at the one frequency that looks like a residual
 /// (alternating along both axes) than at the frequencies that look like polarization (alternating along one axis).
 constexpr float aliasing = 5;
-/// Residuals are clipped here: larger ones are from moved things or highlights and are not typical of their neighbors.
-constexpr float largest = 30;
 
 }  // namespace
 
@@ -24,7 +23,7 @@ void add_interpolation_error(PolarizationState& state, const Image<float>& share
   const Size size = state.size();
   Image<float> squares(size);
   for (std::size_t i = 0; i < squares.count(); ++i) {
-    const float residual = std::min(state.residual[i], largest);
+    const float residual = std::min(state.residual[i], largest_typical_residual);
     squares[i] = std::isfinite(state.residual[i]) ? residual * residual : state.residual[i];
   }
   const Image<float> around = masked_blur(squares, Mask(size, 1, 1), window_px, context);

@@ -9,7 +9,6 @@
 namespace malus {
 namespace {
 
-constexpr double steep_tan2 = 0.13;  // 20°
 /// Error of a prior's zenith that the limit allows for, and a factor on the limit for errors of the prior's azimuth.
 constexpr double zenith_error_rad = to_radians(5), allowance = 2.5;
 constexpr double noise_sigmas = 5, degree_floor = 0.003;

@@ -6,6 +6,9 @@
 
 namespace malus {
 
+/// tan² of the zenith from which the ratio to the diffuse degree is well known, 20°.
+inline constexpr double steep_tan2 = 0.13;
+
 /// Test for a scale whose zero is off by 90°, which exchanges diffuse and specular reflection.
 ///
 /// Along the azimuth a dielectric polarizes by no more than diffuse reflection does at that zenith; across it up to 30
@@ -13,7 +16,7 @@ namespace malus {
 /// common where the opposite is rare, the scale is off by 90°. An object without specular places shows neither. But if
 /// the polarization across the azimuth has the zenith's diffuse degree everywhere, no reflection produces it.
 struct RadialLimits {
-  double cells = 0;  ///< number of cells steep enough for the test (20°)
+  double cells = 0;  ///< number of cells steep enough for the test
   double beyond = 0,
          beyond_turned =
              0;  ///< share of these cells that is impossible with the scale as is, and with the scale turned by 90°

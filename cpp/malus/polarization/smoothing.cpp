@@ -18,8 +18,6 @@ constexpr float difference_share = 0.63F;
 /// The least detail that is assumed, in units of the noise's variance, so that a small excess of residuals, which may
 /// be chance, has a small effect.
 constexpr float least_detail = 0.1F;
-/// Residuals are clipped here: larger ones are from moved things or highlights and are not typical of their neighbors.
-constexpr float largest_residual = 30;
 
 /// Rows that are smoothed at once, so that a large image needs little memory beside it.
 constexpr int strip_rows = 256;
@@ -56,7 +54,7 @@ LinearPart linear_part(const PolarizationState& state, const Strip& strip, const
     part.valid(u, row) = 255;
     part.values[0](u, row) = static_cast<float>(stokes[1] / stokes[0]);
     part.values[1](u, row) = static_cast<float>(stokes[2] / stokes[0]);
-    const float residual = std::min(state.residual(u, v), largest_residual);
+    const float residual = std::min(state.residual(u, v), largest_typical_residual);
     part.noise(u, row) = static_cast<float>(2 * variances(u, v, stokes).linear / (stokes[0] * stokes[0]));
     part.errors(u, row) = residual * residual * part.noise(u, row);
   });

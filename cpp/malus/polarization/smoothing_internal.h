@@ -5,6 +5,9 @@
 
 namespace malus {
 
+/// Residuals are clipped here: larger ones are from moved things or highlights and are not typical of their neighbors.
+inline constexpr float largest_typical_residual = 30;
+
 /// Smooths polarization where it changes from pixel to pixel because of texture, for images that were moved by
 /// fractions of a pixel: interpolation changes fine texture differently in each of them, so that it passes for
 /// polarization.

@@ -46,11 +46,11 @@ void InputEvidence::limit(Confidence& confidence) const {
 InputEvidence check_inputs(const Job& job, const ImageFindings& of_images, const CalibratedPolarization& polarization,
                            const StationView& view, const Scene& scene, const DepthPrior* prior) {
   InputEvidence evidence{of_images.findings};
-  // What is known of images and polarizer was said by the steps that found it.
+  // Findings about images and polarizer were logged by the steps that found them.
   if (const PolarizerCalibration& scale = polarization.polarizer; !scale.doubt.empty()) {
-    // Weak mirror reflections raise the question at right scales, too.
+    // Weak mirror reflections make even a correct scale look doubtful.
     const Severity severity = scale.is_contradicted ? Severity::warning : Severity::caution;
-    evidence.findings.push_back(Finding{"scale", severity, scale.doubt, "", {}});
+    evidence.findings.push_back(Finding{Check::scale, severity, scale.doubt, "", {}});
   }
   if (prior != nullptr) {
     for (Finding& finding : compare_with_prior(job, *polarization.state, view, scene, *prior, of_images)) {

@@ -61,7 +61,7 @@ Finding caution_of_angles(const PolarizerFit& fit, const std::vector<double>& gi
     return to_degrees(given_rad[k] + std::remainder(fit.angles_rad[k] - given_rad[k], std::numbers::pi));
   });
   list("° (counter-clockwise) and exposures", fit.gains.size(), [&](std::size_t k) { return 100 * fit.gains[k]; });
-  return {"angles",
+  return {Check::angles,
           Severity::caution,
           "the images fit other polarizer angles or exposures better than those given, but too far off for an error of "
           "reading: " +
@@ -113,7 +113,7 @@ std::optional<Finding> fit_polarizer_of(PolarizedStack& stack, const PolarizedSp
 std::optional<Finding> caution_of_registration(const PolarizedStack& stack) {
   const std::size_t count = stack.unregistered.size();
   if (count == 0) return std::nullopt;
-  return Finding{"registration",
+  return Finding{Check::registration,
                  Severity::caution,
                  "used without registration: " + std::to_string(count) + " of the " +
                      std::to_string(stack.images.size()) + " polarized images, whose places could not be found",
@@ -147,7 +147,7 @@ Finding order_in_mosaic(const ImageOrder& order) {
 /// note says where three angles show none, however much the light flickered.
 std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   if (state.angles_rad.size() < 4) {
-    return Finding{"misfits",
+    return Finding{Check::misfits,
                    Severity::note,
                    "whether the light flickered or something moved could not be checked: a sinusoid passes through any "
                    "three values; images at a fourth angle would show it",
@@ -161,7 +161,7 @@ std::optional<Finding> finding_of_misfits(const PolarizationState& state) {
   }
   const auto object = static_cast<double>(object_pixels), misfits = static_cast<double>(misfit_pixels);
   if (misfits <= many_misfits * object) return std::nullopt;
-  return Finding{"misfits",
+  return Finding{Check::misfits,
                  misfits > most_misfits * object ? Severity::warning : Severity::caution,
                  percent(misfits / object) + " of the object's pixels do not follow the polarizer's sinusoid",
                  "is `response` right, did the light change, did something move?",
@@ -205,11 +205,11 @@ std::optional<Finding> caution_of_no_polarization(const PolarizationState& state
   const std::vector<std::pair<std::string, double>> figures{{"polarization_over_noise", typical},
                                                             {"polarized_fraction", share}};
   if (share > some_cells) {
-    return Finding{"polarization", Severity::caution,
+    return Finding{Check::polarization, Severity::caution,
                    "only " + percent(share) + " of the object is polarized beyond the noise",
                    "is the background in the mask? Average more exposures, or light the object from the side", figures};
   }
-  return Finding{"polarization", Severity::caution,
+  return Finding{Check::polarization, Severity::caution,
                  "the images are the same at all angles of the polarizer, but for noise: nothing is polarized",
                  "did a linear polarizer turn before the lens? A circular one works only with its thread towards the "
                  "camera",
@@ -230,7 +230,7 @@ std::optional<Finding> caution_of_texture(const PolarizationState& state) {
   if (errors.empty()) return std::nullopt;
   const double error = median_in_place(errors);
   if (error < texture_over_polarization) return std::nullopt;
-  return Finding{"texture",
+  return Finding{Check::texture,
                  Severity::caution,
                  "texture finer than the mosaic's cells is as strong as the polarization on most of the object: the "
                  "fused detail may be worse than the prior's",
@@ -276,8 +276,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   PolarizedStack stack = capture_stack(make_capture_input(job.station), options.capture, context);
   const PolarizedSpec& polarized = job.station.file.polarized;
   ImageFindings of_images;
-  // Said here and not by the step that judges all findings, because a run may end before that step or have no use for
-  // it.
+  // Logged here and not by the step that judges all findings, because a run may end before that step or not need it.
   const auto add = [&](Finding found) {
     if (found.severity != Severity::note) context.log(LogLevel::warning, found.text());
     of_images.findings.push_back(std::move(found));
@@ -303,7 +302,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   for (Finding finding : job.station.file_findings) {
     // The measured response is stronger evidence than metadata that a program wrote into a file. It does not tell one
     // display's curve from another's.
-    if (finding.check == "encoding" && says_linear(response)) {
+    if (finding.check == Check::encoding && says_linear(response)) {
       finding.severity = Severity::note;
       finding.message += "; the measured brightness shows that this is right";
       finding.suggestion.clear();
@@ -315,7 +314,7 @@ std::tuple<MeasuredPolarization, StationView, ObjectColor, Scene, ImageFindings>
   const bool moved =
       std::ranges::any_of(stack.image_from_base, [](const Affine& map) { return map != identity_affine(); });
   if (moved) smooth_polarization(*state, context);
-  // Not said: each unregistered image was already reported.
+  // Not logged: each unregistered image was already reported.
   if (auto found = caution_of_registration(stack)) of_images.findings.push_back(*std::move(found));
   add_if_any(angles);
   if (!stack.shared.empty()) {

@@ -41,8 +41,8 @@ struct StationView {
 };
 
 /// Findings from the images alone: always "response"; "order" where the station gives the angles; others, such as
-/// "registration", "misfits" and "texture", only if they give cause for caution; "misfits" also as a note with three
-/// angles, which show none.
+/// "registration", "misfits" and "texture", only if they give cause for caution; "misfits" also as a note where three
+/// angles cannot show any.
 struct ImageFindings {
   std::vector<Finding> findings;
 };

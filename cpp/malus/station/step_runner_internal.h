@@ -24,7 +24,7 @@ class StepRunner {
   StepRunner(const std::vector<Step>& table, std::vector<const Step*> steps, const Station& station,
              const Options& options, const RunOptions& run, const Context& context);
 
-  /// Returns a warning about what a run has led to, if there is one.
+  /// Returns a warning about the results of a run, if there is one.
   using Closing = std::function<std::optional<std::string>(const Results&)>;
 
   /// Runs the steps that are not done. RunOptions::keep_maps decides which results remain. A warning of `closing`

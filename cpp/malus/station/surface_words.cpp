@@ -48,8 +48,8 @@ Json catalog_of(const Json& quality) {
 std::optional<double> refined_share(const Json& quality) {
   const std::optional<double> trusted = share_at(quality, "/refinement/trusted_share");
   if (!trusted) return std::nullopt;
-  // That is a share of the pixels whose polarization was used. These are the valid ones, with a map of the surroundings
-  // without those that mirror the object itself; on the others nothing finer than the prior is known.
+  // That is a share of the pixels whose polarization was used: the valid ones, except, with a map of the surroundings,
+  // those that mirror the object itself. On all others nothing finer than the prior is known.
   const double valid = share_at(quality, "/polarization/valid_fraction").value_or(1);
   const double left_out = share_at(quality, "/refinement/surroundings/self_mirroring_share").value_or(0);
   return *trusted * valid * (1 - left_out);

@@ -78,7 +78,7 @@ def _run(arguments: Sequence[str] | None) -> None:
     if args.threads is not None and args.threads < 1:
         raise InputError(f"--threads {args.threads}, expected at least 1")
     if args.command in ("report", "view", "export", "compare"):
-        options_of(args)  # of steps that are done: they change nothing here, but a mistake in them is told
+        options_of(args)  # options of steps that are done: they change nothing here, but mistakes in them are reported
     if args.command == "check":
         check_inputs(args)
     elif args.command == "report":
@@ -123,7 +123,7 @@ def _flush_output() -> None:
 
 
 def _drop_unwritten_output() -> None:
-    """Drop what an output does not take: at its end Python would try again, complain, and change the exit code to 120."""
+    """Discard output that cannot be written: at exit Python would try again, print an error, and change the exit code to 120."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -83,7 +83,7 @@ def _work_of(command: argparse.ArgumentParser, **how: Any) -> None:
 
 
 def _common_options(*, computes: bool, threads: str) -> Parser:
-    """Options of every command. computes: whether it runs steps, whose options other commands take, but do not show. threads: help text."""
+    """Options of every command. computes: whether it runs steps; else the help leaves out the options of steps. threads: help text."""
 
     def told(text: str) -> str:
         return text if computes else argparse.SUPPRESS

@@ -99,7 +99,7 @@ def run_object_file(args: argparse.Namespace) -> None:
 
 
 def _words_on_runs(outcomes: Sequence[batch.Outcome], ran: Sequence[str]) -> list[str]:
-    """A line on the stations that this run has run, if another one has run others: an earlier one, or one of other shards."""
+    """A line that names the stations run now, if other stations were run by an earlier run or by that of another shard."""
     others = sum(outcome["status"] != "pending" and outcome["station"] not in ran for outcome in outcomes)
     names = [outcome["station"] for outcome in outcomes if outcome["station"] in ran]
     return [f"  run now: {listed(names) or 'none'}; run before or elsewhere: {others}"] if others else []
@@ -119,5 +119,5 @@ def _figures_of_object(folder: Path) -> dict[str, Any]:
 
 
 def _doubts_of_object(quality: Mapping[str, Any], before: str = "") -> list[str]:
-    """Stations that are not fully trusted, and all warnings, each with the word `before` it."""
+    """The stations that are not fully trusted, and all warnings; each line begins with the word `before`."""
     return [*doubted_stations(quality), *(before + warning for warning in quality["warnings"])]

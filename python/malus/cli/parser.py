@@ -37,7 +37,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _with_lists_of_numbers(words: Sequence[str]) -> list[str]:
-    """The words with lists such as -45,0,45 joined to their options: argparse takes such a list for an option of its own."""
+    """The words, with lists such as -45,0,45 joined to the option before them by "=": argparse would take such a list for an option."""
     joined: list[str] = []
     for word in words:
         if joined and joined[-1].startswith("--") and re.fullmatch(r"-[\d.]+(,[^,]*)+", word):

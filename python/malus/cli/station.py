@@ -91,7 +91,7 @@ def reconstruct_station(
 
 
 def _as_ply(scan: Path, station: malus.Station, args: argparse.Namespace) -> Path:
-    """A reference in LAS or E57, written into the workspace for the C++ library. One that cannot be read takes no workspace over."""
+    """A reference in LAS or E57, written into the workspace for the C++ library. If it cannot be read, the workspace is left as it is."""
     cloud = scans.read_scan(scan, station.unit)
     _core.claim_workspace(str(args.output), station._core, args.replace)
     return scans.as_ply(cloud, args.output / "reference")

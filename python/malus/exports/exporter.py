@@ -73,7 +73,7 @@ class Exporter:
         return picture
 
     def texture(self) -> NDArray[np.uint8]:
-        """`picture` for a mesh: beside what has a color, as beside the object in gray images with a mask, it has the colors near there."""
+        """`picture` for a mesh. Pixels without a color, such as those beside the object in gray images with a mask, get colors from near them."""
         color = self.color
         known = np.isfinite(color if color.ndim == 2 else color[..., 0])
         if self.filled is not None:

@@ -58,8 +58,8 @@ class Agreement:
 
     view: the station. ratio: H×W, root mean square of distance over its stated standard deviation, or the largest one that contradicts the
     place; NaN where no other station measured. distances, expected: N each, single distances and their standard deviations; if there are
-    millions, only those of every n-th pixel. contradictions: how many others there are at these pixels that contradict the place:
-    surfaces more than twelve standard deviations apart, one of which is seen through by the station of the other.
+    millions, only those of every n-th pixel. contradictions: number of other stations' surfaces, over all these pixels, that contradict the
+    place: they lie more than twelve standard deviations away, and one of the two stations looks through the surface of the other.
     """
 
     view: str

@@ -19,8 +19,8 @@ from malus.workspace import Workspace
 def clouds_of(
     thing: Object, done: Sequence[Outcome], output: Path, gsd: float, threads: int
 ) -> tuple[list[OrientedPoints], list[str]]:
-    """The stations' clouds that have normals, without duplicates, as large as known distances make them, and warnings about the others.
-    Their points count as pixels that are large enough to join each other to a surface.
+    """The stations' clouds that have normals, without duplicates and scaled by the known distances, and warnings about the others. Each
+    point counts as a pixel that is so large that neighboring points form a surface.
     """
     parts: list[OrientedPoints] = []
     warnings: list[str] = []
@@ -36,7 +36,7 @@ def clouds_of(
             warnings.append(without_normals(cloud, thing.folder))
         else:
             count, points, normals = len(read[0]), scale * read[0], read[1]
-            # Limited as the scales of views are: the margins about blocks are no wider.
+            # Limited like the scales of views, because the margins about blocks are no wider.
             (*_, side) = _core.scales_of([gsd, gsd, max(gsd, pixel_side(points, threads))])
             parts.append(
                 OrientedPoints(

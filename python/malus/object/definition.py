@@ -226,7 +226,7 @@ class Object:
         return plans
 
     def _outlines_of_others(self) -> int:
-        """How many outlines of other stations at least are silhouettes for each station."""
+        """How many outlines of other stations every station has at least as silhouettes."""
         return max(0, sum(self._masked_stations().values()) - 1) if self.turntable else 0
 
     def _masked_stations(self) -> dict[str, bool]:
@@ -248,7 +248,7 @@ def _described(campaign: Campaign) -> dict[Path, Mapping[str, Any]]:
     for task, path in zip(campaign.tasks(Path(), 1), campaign.stations, strict=True):
         try:
             require_kind(path, "station")
-            # Now, as the station itself would miss the pose that a [prior] needs.
+            # Reported here, because the station itself would report a missing pose, which a [prior] needs.
             if campaign.photos_of is not None and "prior" in read_toml(path, "station file"):
                 raise InputError(
                     f"{path}: has a [prior], but {campaign.photos_of} has [photos], which give all stations their pose and coarse "

@@ -49,7 +49,9 @@ def doubts_of_object(
     compared: Mapping[str, Any] | None,
     bare: Sequence[str],
 ) -> list[str]:
-    """Warnings about the object's surface itself. rows: `stations` of quality.json. closed: the mesh is. bare: warnings about clouds."""
+    """Warnings about the object's surface itself. rows: `stations` of quality.json. closed: whether the mesh is closed. bare: warnings
+    about clouds.
+    """
     warnings = [f"object: {warning}" for warning in bare]
     if thing.closed and not closed:
         warnings.append("object: the mesh was to be closed, but it has open edges")

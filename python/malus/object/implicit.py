@@ -48,7 +48,7 @@ _BESIDE_CELLS = 10
 _NEIGHBORS = 4
 #: Bits that identify a vertex on a side of a block: it lies on an edge of the finest lattice, which a node (x, y, z) and an axis name.
 _NODE_BITS, _AXIS_BITS = 20, 2
-#: A vertex nearer to a node than half of this share of an edge lies on the node: a number of its own instead of an axis.
+#: A vertex nearer to a node than half of this share of an edge counts as lying on the node; _AT_NODE then takes the place of the axis.
 _AT_NODE, _SHARE_AT_NODE = 3, 1 / 256
 
 
@@ -130,7 +130,7 @@ def reach_of(points: OrientedPoints, cell: float, threads: int) -> Floats:
 
 
 def pixel_side(points: Floats, threads: int) -> float:
-    """Side of the pixels as which the points (N×3) of a cloud count: so large that the longest reach of a point (MOST_REACH_CELLS of
+    """Side of the pixels that the points (N×3) of a cloud count as. It is so large that the longest reach of a point (MOST_REACH_CELLS of
     these pixels) suffices for the median distance of the points from their sixth neighbor.
     """
     if len(points) <= _SPACING_NEIGHBOR:
@@ -194,7 +194,7 @@ def pieces(points: OrientedPoints, cell: float, threads: int = ALL_CORES) -> Ite
 
 
 def _finest_level(points: OrientedPoints) -> int:
-    """How often cells are halved where that is most often."""
+    """How often the cells at the smallest pixels are halved."""
     if points.scale is None:
         return 0
     return int(np.clip(_core.levels_of(np.array([float(points.scale.min())]))[0], 0, FINEST))
@@ -247,7 +247,7 @@ def _node_number(node: Ints) -> Ints:
 def _with_means(
     vertices: Floats, triangles: Ints, points: OrientedPoints, cell: float, threads: int
 ) -> tuple[ObjectMesh, Floats | None]:
-    """The mesh with normals and standard deviations: means over the nearest points, weighted by distance. The same of the points' scale."""
+    """The mesh with normals and standard deviations: means over the nearest points, weighted by distance; and their scale, averaged alike."""
     away, near = scipy("spatial").cKDTree(points.points).query(vertices, _NEIGHBORS, workers=threads)
     share = 1 / (away**2 + cell**2)
     normals = unit((share[..., None] * points.normals[near]).sum(1))

@@ -33,7 +33,7 @@ class Piece:
     scale: Floats | None = None
 
     def sure(self, most_sigma: float) -> Bools:
-        """Which vertices have a sigma of at most `most_sigma` (N), or of so many times as much as their pixels are larger."""
+        """Which vertices (N) have a sigma of at most `most_sigma`, a limit that grows with pixels larger than the object's GSD."""
         return np.asarray(self.mesh.sigma <= most_sigma * (1.0 if self.scale is None else np.maximum(self.scale, 1.0)))
 
 

@@ -22,7 +22,7 @@ Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Place = tuple[int, int, int]
 
-#: Cells of one GSD are halved so often at most.
+#: Cells of one GSD are halved at most this often.
 FINEST: int = _core.finest_level
 #: A block is divided into so many parts along each side where points have smaller pixels; each part has cells of its own size.
 _PARTS = 8
@@ -52,13 +52,13 @@ class Levels:
 
     def __init__(self, block_cells: int) -> None:
         self._block, self.part = block_cells, block_cells // _PARTS
-        #: Of the smallest cells.
+        #: Level of the smallest cells.
         self.finest = 0
         self._of: dict[Place, int] = {}
         self._divided: set[Place] = set()
 
     def add(self, at: Floats, levels: Ints, beside: NDArray[np.floating]) -> None:
-        """Halve the cells near points (N×3, in cells) so often as their levels (N) say. beside: how far about each point (N, in cells)."""
+        """Halve the cells near points (N×3, in cells) as often as their levels (N) say. beside: how far about each point (N, in cells)."""
         for level in np.unique(np.minimum(levels[levels > 0], FINEST)).tolist():
             some = np.minimum(levels, FINEST) == level
             low, high = (
@@ -110,7 +110,7 @@ class Levels:
                 end = -1 if far else 0
                 every = 2 ** (cube.level - level)
                 side[end] = refined(side[end][::every, ::every], every)
-        # The sides rounded the values on their edges anew, and all parts about an edge must have the same.
+        # The sides have rounded the values on their edges differently, but all parts about an edge must have the same values.
         self._blend_edges(cube, field)
         return field
 
@@ -187,7 +187,7 @@ def _between(values: Singles, every: int) -> Singles:
 
 
 def refined(values: Singles, every: int) -> Singles:
-    """The same of the nodes of a square, bilinear. On the lines between known nodes an unknown node (NaN) beside them changes nothing."""
+    """The same for the nodes of a square, bilinear. An unknown node (NaN) does not affect the lines between known nodes."""
     return np.ascontiguousarray(_between(_between(values, every).T, every).T)
 
 

@@ -75,8 +75,8 @@ class ObjectMesh:
 def poisson_mesh(points: OrientedPoints, gsd: float, folder: Path, colmap: Colmap, halved: int = 0) -> ObjectMesh:
     """Closed mesh of oriented points; `folder` keeps COLMAP's log.
 
-    Cells are as fine as the GSD halved so often, except for objects larger than 8000 cells; where points are sparser, they are larger.
-    Raises DataError if there is no surface.
+    Cells have the side of the GSD halved `halved` times, except for objects larger than 8000 cells; where points are sparser, they are
+    larger. Raises DataError if there is no surface.
     """
     if len(points.points) < 100:
         raise DataError(f"{len(points.points)} points of the stations agree, expected at least 100")

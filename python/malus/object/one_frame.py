@@ -26,8 +26,8 @@ from malus.registration import some_of
 #: What `Station.describe` says of the stations, by their names.
 Described = Mapping[str, Mapping[str, Any]]
 
-#: Photos of one name are the same photos if most turn alike, within this angle, from one model to the other. They are compared if two
-#: models have at least so many; more than the most are not needed.
+#: Photos of the same names are the same photos if most of them turn alike from one model to the other, within this angle (radians). Two
+#: models are compared if they share at least so many photos; more than the largest number are not needed.
 _ALIKE_RAD, _LEAST_PHOTOS, _MOST_PHOTOS = 0.03, 3, 300
 #: Two models have one frame if the photos are turned by less than this angle (radians), and moved by less than this share of their distance
 #: from the object. An adjustment that is repeated with other photos moves them less; models made separately are off by any amount.
@@ -133,8 +133,8 @@ def _model_of(station: Mapping[str, Any]) -> Path | None:
 
 @dataclass(frozen=True)
 class _Moved:
-    """How the photos that two models have in common lie in the second one: their number, the one that is moved by the median of the
-    distances, its turn and its distance; whether a frame that is the same explains all of it.
+    """How the photos that two models share are moved from the first to the second one: their number; the photo that is moved by the median
+    distance, its turn and its distance; and whether the two models can be in the same frame.
     """
 
     photos: int

@@ -35,7 +35,7 @@ _TEXTURE_SIDE, _MAP_SIDE = 2048, 1200
 _MOST_RATIO = 4.0
 #: Gray value of pixels without data, and the margin that is left around the pixels with data, as a share of their extent.
 _NOTHING, _ROOM = 128, 0.05
-#: A number in a sentence; those in the name of a file, as in IMG_0012.JPG, are none.
+#: A number in a sentence; digits in the name of a file, as in IMG_0012.JPG, do not count.
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\.?\w)")
 #: Distances from the reference of this many GSD or more have the first or last color.
 _MOST_DISTANCE_GSD = 2.0
@@ -82,7 +82,7 @@ def write_distances(
 
 
 def _write_map(folder: Path, station: str, shares: NDArray[np.floating]) -> Path:
-    """A PNG of colors_of these numbers (H×W), which takes much memory, in parts."""
+    """A PNG of `colors_of` these numbers (H×W), colored in parts because that takes much memory."""
     colors = np.empty((*shares.shape, 3), np.uint8)
     for rows in chunks(*shares.shape):
         colors[rows] = colors_of(shares[rows])

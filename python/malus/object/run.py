@@ -84,8 +84,8 @@ def run_object(
             _discard(folder, unless=lambda: _recorded(folder).get("photos_key") == photos)
             frame = find_frame(thing, Path(output), threads or ALL_CORES, say)
     except MalusError as error:
-        # A full disk or a COLMAP that is not there say nothing against a surface of these photos. A disk with photos that is not there
-        # ends Object.load.
+        # A full disk or a missing COLMAP does not make an earlier surface of these photos wrong. (If the disk with the photos is missing,
+        # Object.load has failed before.)
         if isinstance(error, DataError) or photos is None:
             _discard(folder)
         raise
@@ -95,7 +95,7 @@ def run_object(
         outcomes = batch.outcomes_of(thing.campaign, output, cameras)
         return not _any_pending(outcomes) and _recorded(folder).get("key") == _key(thing, outcomes, frame)
 
-    # An earlier surface would look like the result of a run that is interrupted, or leaves stations to others.
+    # If this run is interrupted, or leaves stations to other shards, an earlier surface would look like its result.
     _discard(folder, unless=surface_is_current)
 
     def station_ended(count: int, total: int, outcome: Outcome) -> None:
@@ -211,8 +211,8 @@ def _clear(folder: Path) -> None:
 
 
 def _discard(folder: Path, unless: Callable[[], bool] = lambda: False) -> None:
-    """Clear the folder of an earlier surface, if there is one. A process that is making a surface is waited for; `unless` is about that
-    one then.
+    """Clear the folder of an earlier surface, if there is one. Waits for a process that is making a surface; `unless` then refers to that
+    surface.
     """
     if folder.exists():
         with exclusive(folder, wait=True):
@@ -311,7 +311,7 @@ def _require_unchanged(thing: Object, outcomes: Sequence[Outcome], frame: Frame 
     """InputError if stations, their clouds or the reference changed while the surface was made."""
     now = batch.outcomes_of(thing.campaign, folder.parent, None if frame is None else frame.cameras)
     for before, after in zip(outcomes, now, strict=True):
-        # Another shard may have run a station again that fails as before. Only its time is another one then.
+        # Another shard may have run a station again that failed as before. Only its time differs then.
         if after | {"seconds": 0} != before | {"seconds": 0}:
             raise InputError(
                 f"{before['file']}: its files or results were changed while the surface was made; run again"

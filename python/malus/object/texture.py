@@ -28,7 +28,8 @@ _ON_EDGE = 1e-9
 #: Most levels of detail, and fewest triangles of a level.
 _MOST_LEVELS = 5
 _LEAST_FACES = 500
-#: Most vertices of a mesh that is searched with one tree in memory; where it is searched for its levels, it has so many parts across.
+#: Most vertices of a mesh that is searched with one tree in memory; and number of parts across into which places on a larger mesh are
+#: sorted.
 _MOST_IN_MEMORY, _PARTS_ACROSS = 4_000_000, 16
 #: The vertices of a large mesh are sorted into so many cells across.
 _CELLS_ACROSS = 64
@@ -81,7 +82,7 @@ def textured(
     """
     low = mesh if simpler is None else simpler
     middle = low.vertices.mean(0)
-    # In GSD: both libraries have limits of length and area of their own, which a mesh in meters is below.
+    # In GSD: both libraries take lengths and areas below certain limits for zero, and a mesh in meters is below these limits.
     points, triangles = (low.vertices - middle) / gsd, np.asarray(low.triangles)
     if len(triangles) > faces:
         library = extra("fast_simplification", "fast-simplification", "the texture of an object", "object")
@@ -217,7 +218,7 @@ class NearestVertices:
         return np.split(order, np.flatnonzero((np.diff(cells[order], axis=0) != 0).any(1)) + 1)
 
     def about(self, region: Floats) -> Callable[[Floats], NDArray[np.int64]]:
-        """A function that gives the numbers of the vertices (N) that are nearest to places (N×3) among these (M×3) or between them."""
+        """A function from places (N×3) that lie in the box about `region` (M×3) to the numbers (N) of the vertices nearest to them."""
         low, high = region.min(0), region.max(0)
         margin = math.inf if self._whole else 0.25 * float((high - low).max())
         tree, rows = self._whole or self._within(low - margin, high + margin)
@@ -267,7 +268,7 @@ def _atlas(
     atlas = xatlas.Atlas()
     parts = []
     for level in np.unique(levels).tolist():
-        # A part of its own, enlarged: all charts get as many texels for their size.
+        # Each level is a part of its own, enlarged, because all charts get the same number of texels per area.
         own = triangles[levels == level]
         used = np.arange(len(points)) if len(own) == len(triangles) else np.unique(own)
         atlas.add_mesh((2**level * points[used]).astype(np.float32), np.searchsorted(used, own).astype(np.uint32))

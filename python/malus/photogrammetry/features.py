@@ -45,7 +45,7 @@ def find_features(bench: Bench, stage: str, target: Path, names: Sequence[str], 
 
 
 def _lacking(bench: Bench, target: Path, names: Sequence[str]) -> list[str]:
-    """The images of which COLMAP had no features to drop."""
+    """The images with no more features than photos.max_features, so that COLMAP dropped none of them."""
     return [name for name in names if database.place_count(target, name) <= bench.options.photos.max_features]
 
 

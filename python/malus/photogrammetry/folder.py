@@ -10,7 +10,7 @@ from pathlib import Path
 
 from malus.errors import ExternalError, InputError, MalusError, ResourceError, kind_of
 
-#: SQLite's codes for a system that can store or read no more; the database itself is whole.
+#: SQLite's codes for failures of the system, such as a full disk; the database itself is undamaged.
 _OF_SYSTEM = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
 
 

@@ -47,7 +47,7 @@ def group_limits_mb(root: Path = Path("/")) -> list[float]:
             mount, file = root / "sys/fs/cgroup/memory", "memory.limit_in_bytes"
         else:
             continue
-        # In a container the path may be that of the host, of which only the mount itself is there.
+        # In a container the path may be that of the host, of which only the mount point itself exists.
         own = mount / path.lstrip("/")
         for group in (own, *own.parents):
             with suppress(OSError, ValueError):  # ValueError: "max", no limit

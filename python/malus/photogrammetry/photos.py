@@ -218,7 +218,7 @@ def require_different(photos: Sequence[Photo]) -> None:
     samples = [_sample(photo.path) for photo in photos]
     for photo, sample in zip(photos, samples, strict=True):
         same: list[Path | str] = [photo.path.with_suffix("")]
-        if samples.count(sample) > 1:  # Of most photos the sample tells, and the whole file need not be read.
+        if samples.count(sample) > 1:  # For most photos the sample suffices, and the whole file need not be read.
             same.append(sha256_of(photo.path))
         first = next((first_of[key] for key in same if key in first_of), photo)
         if first is not photo:

@@ -47,7 +47,7 @@ class StationView:
 
 
 def titled(image: str, stations: Mapping[str, StationView]) -> str:
-    """What messages call an image, which is a photo's or, if its name is among theirs, that of a station."""
+    """How messages call an image: by its title if its name is that of a station's image, else by the photo's name."""
     return stations[image].title if image in stations else image
 
 

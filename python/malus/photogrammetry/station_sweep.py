@@ -127,15 +127,15 @@ _Silhouette = tuple[str, Any]
 def _without_which(names: Sequence[str], most: int, is_right: Callable[[Sequence[str]], bool]) -> list[str]:
     """A few names, at most `most`, without which the others are right; none if none are found.
 
-    Each step leaves out a part, about half, of the names that the step before left out, so that a single wrong name is found. Of
-    several wrong names it finds a part that has them all, and right ones beside.
+    Each step leaves out a part, about half, of the names that the step before left out, so that a single wrong name is found. Of several
+    wrong names it finds a part that holds all of them, together with right ones.
     """
     found: list[str] = []
     while most > 0 and len(found) != 1:
         suspects = found or names
         count = max(2, math.ceil(len(suspects) / most))
-        # First every second name, as neighbors often show the same side, and without a whole side nothing is closed. Two wrong ones
-        # that are parted by this may be together if the names are taken by twos or fours.
+        # First every second name is left out: neighbors often show the same side, and without a whole side no hull is closed. Two wrong
+        # names that this separates may fall into one part if the names are taken in twos or fours.
         parts = (
             [name for at, name in enumerate(suspects) if at // together % count == number]
             for together in (1, 2, 4)

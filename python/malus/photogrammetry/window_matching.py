@@ -75,7 +75,7 @@ def match_windows(
             )
             given += [image for image, view in views.items() if view.lens is not None and placed.has(image)]
             if given:
-                bench.report("windows", 0.5, "given lenses beside those that the images show")
+                bench.report("windows", 0.5, "comparing given lenses with what the images show")
                 figures["given_lenses"] = _compared(model, given, lambda lenses: refined(quoted | lenses, silent))
         figures["lens_sigma"] = [
             {"image": database.unquoted(name), "sigma": sigma} for name, sigma in figures["lens_sigma"].items()
@@ -93,8 +93,8 @@ def match_windows(
 def _compared(
     model: _core.ColmapModel, given: Sequence[str], refined: Callable[[dict[str, str]], dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Focal lengths of the given lenses, by the names of an image of each, beside those that the images show: with a wrong one, all
-    other cameras and points give way, and nearly fit. The model is changed.
+    """Focal lengths of the given lenses, by the name of one image of each, and those that the images show. Residuals do not show a wrong
+    one: all other cameras and points adapt to it, and nearly fit. The model is changed.
     """
 
     def focal_lengths() -> dict[str, float]:

@@ -115,7 +115,7 @@ def _thumbnail(path: Path) -> bytes:
                 image.draft("RGB", (THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 image.thumbnail((THUMBNAIL_SIDE_PX, THUMBNAIL_SIDE_PX))
                 return encode(np.asarray(image.convert("RGB")), "JPEG", quality=85)
-        except SyntaxError:  # Pillow's for a file that is no JPEG, whatever its name says.
+        except SyntaxError:  # Pillow raises this for a file that is no JPEG, whatever its name says.
             pass
         except OSError as error:
             raise InputError(f"{path}: cannot be read as an image ({error})") from None

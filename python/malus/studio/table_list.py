@@ -27,7 +27,7 @@ class _Part:
     below: str
     """Comment right below its last key."""
     between: str
-    """What else stands before the next table of the list, from the first to the last blank line: it is of neither."""
+    """The text between these comments, from the first to the last blank line, which belongs to neither table."""
 
 
 @dataclass
@@ -102,9 +102,8 @@ def _cut(body: Body) -> str:
 
 
 def _parted(gap: str) -> tuple[str, str, str]:
-    """The text between two tables: comment of the first one, what is of neither, comment of the second one.
-
-    Without a blank line all is of the second one.
+    """The text between two tables: comment of the first one, what belongs to neither, comment of the second one. Without a blank line all
+    of it belongs to the second one.
     """
     lines = re.findall(r"[^\n]*\n|[^\n]+", gap)
     blank = [at for at, line in enumerate(lines) if not line.strip()]

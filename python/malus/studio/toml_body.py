@@ -43,7 +43,7 @@ def text_of(body: Body) -> str:
 def _cut_behind(body: Body) -> str:
     """Remove the first blank line behind the last key and what follows, such as the comment on the next table; returns its text.
 
-    Without a blank line all is of the next table.
+    Without a blank line all of it belongs to the next table.
     """
     last = behind(body)
     begin = next((at for at in range(last, len(body)) if isinstance(body[at][1], Whitespace)), last)

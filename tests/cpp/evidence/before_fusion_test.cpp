@@ -167,7 +167,7 @@ TEST(BeforeFusion, TheSizeIsThatOfAllRowsAndColumns) {
   for_each_pixel(PixelRect{61, 38, 261, 161}, [&](int u, int v) { scene.object(u, v) = 255; });
   const auto findings = findings_before_fusion(
       {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
-  ASSERT_EQ(findings[0].check, "size");
+  ASSERT_EQ(findings[0].check, Check::size);
   EXPECT_NEAR(findings[0].figures[0].second, 199 * 0.2, 1e-3);
   EXPECT_NEAR(findings[0].figures[1].second, 122 * 0.2, 1e-3);
 }
@@ -177,10 +177,10 @@ TEST(BeforeFusion, ListsAllFindings) {
   const auto findings = findings_before_fusion(
       {.images = scene.images(), .pose = scene.pose, .prior_depth = scene.depth, .cloud = &scene.cloud}, {});
   ASSERT_EQ(findings.size(), 4u);
-  EXPECT_EQ(findings[0].check, "size");
-  EXPECT_EQ(findings[1].check, "phase");
-  EXPECT_EQ(findings[2].check, "prior");
-  EXPECT_EQ(findings[3].check, "contrast");
+  EXPECT_EQ(findings[0].check, Check::size);
+  EXPECT_EQ(findings[1].check, Check::phase);
+  EXPECT_EQ(findings[2].check, Check::prior);
+  EXPECT_EQ(findings[3].check, Check::contrast);
   for (const Finding& finding : findings) {
     EXPECT_EQ(finding.severity, Severity::note) << finding.text();
     EXPECT_FALSE(finding.figures.empty());
@@ -199,7 +199,7 @@ TEST(BeforeFusion, AnInterpolatedPriorThatThePolarizationContradictsIsACaution) 
     }
     const auto findings = findings_before_fusion(
         {.images = scene.images(), .pose = scene.pose, .prior_depth = prior_depth, .cloud = &cloud}, {});
-    return *std::ranges::find(findings, "phase", &Finding::check);
+    return *std::ranges::find(findings, Check::phase, &Finding::check);
   };
   constexpr double everywhere = 300, hardly = 30;
   EXPECT_EQ(phase_with(other.depth, everywhere).severity, Severity::warning);

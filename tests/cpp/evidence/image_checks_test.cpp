@@ -153,7 +153,7 @@ TEST(ResponseCheck, DistinguishesLinearEncodedAndTwiceDecodedImages) {
 
 TEST(ResponseCheck, AnglesFittedToAResponseCurveLeaveTheFindingOpen) {
   Finding linear, bent;
-  linear.check = bent.check = "response";
+  linear.check = bent.check = Check::response;
   linear.figures = {{"bend", 0.01}, {"bend_sigma", 0.003}};
   bent.figures = {{"bend", 0.13}, {"bend_sigma", 0.003}};
   bent.severity = Severity::warning;

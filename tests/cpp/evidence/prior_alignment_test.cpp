@@ -112,13 +112,13 @@ TEST(PriorAlignment, FindsShiftTurnAndSizeByColors) {
 TEST(PriorAlignment, StatesTheSmallestDetectableOffsets) {
   const EvidenceScene scene;
   const PriorAlignment right = check(scene, scene.cloud);
-  EXPECT_GT(right.told_turn_deg, 0);
-  EXPECT_LE(right.told_turn_deg, 1.5);
+  EXPECT_GT(right.detectable_turn_deg, 0);
+  EXPECT_LE(right.detectable_turn_deg, 1.5);
   EXPECT_NE(right.finding.message.find(" on would be noticed"), std::string::npos) << right.finding.message;
   for (const double sign : {1, -1}) {
-    const PriorAlignment turned = check(scene, scene.moved(motion(0, 0, 1.2 * sign * right.told_turn_deg)));
+    const PriorAlignment turned = check(scene, scene.moved(motion(0, 0, 1.2 * sign * right.detectable_turn_deg)));
     EXPECT_EQ(turned.finding.severity, Severity::warning) << turned.finding.text();
-    const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1 + 1.2 * sign * right.told_scale)));
+    const PriorAlignment larger = check(scene, scene.moved(motion(0, 0, 0, 1 + 1.2 * sign * right.detectable_scale)));
     EXPECT_EQ(larger.finding.severity, Severity::warning) << larger.finding.text();
   }
 }
@@ -142,8 +142,8 @@ EvidenceScene noisy_rings(double middle_u) {
 TEST(PriorAlignment, SaysThatATurnOfARoundObjectIsNotDetectable) {
   const EvidenceScene scene = noisy_rings(150);
   const PriorAlignment found = check(scene, scene.cloud);
-  EXPECT_EQ(found.told_turn_deg, 0);
-  EXPECT_GT(found.told_shift_px, 0);
+  EXPECT_EQ(found.detectable_turn_deg, 0);
+  EXPECT_GT(found.detectable_shift_px, 0);
   EXPECT_NE(found.finding.message.find("but not a turn"), std::string::npos) << found.finding.message;
 }
 
@@ -312,7 +312,7 @@ TEST(PriorAlignment, SaysThatAnObjectIsTooSmallOrThinToBeCompared) {
   for (const EvidenceScene* scene : {&coin, &pin}) {
     for (const PriorAlignment& found :
          {check(*scene, scene->cloud), check_alignment(scene->depth, scene->images(), {})}) {
-      EXPECT_EQ(found.finding.check, "prior");
+      EXPECT_EQ(found.finding.check, Check::prior);
       EXPECT_EQ(found.finding.severity, Severity::note) << found.finding.text();
       EXPECT_NE(found.finding.message.find("too small in the image"), std::string::npos) << found.finding.text();
       EXPECT_GT(found.object_covered, 0.9);

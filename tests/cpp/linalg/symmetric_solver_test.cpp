@@ -46,8 +46,7 @@ TEST(SymmetricSolver, AgreesWithADenseSolverAlsoForOtherValues) {
     const auto lower = system.lower(0);
     ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
     Eigen::VectorXd x;
-    ASSERT_EQ(solver.solve(lower, system.right(), x), SolveStatus::solved);
-    EXPECT_LT(solver.relative_residual(), 1e-12);
+    ASSERT_EQ(solver.solve(lower, system.right(), x, 1e-12), SolveStatus::solved);
     const Eigen::MatrixXd dense = Eigen::MatrixXd(lower).selfadjointView<Eigen::Lower>();
     EXPECT_LT((dense.ldlt().solve(system.right()) - x).norm(), 1e-9 * x.norm());
   }
@@ -168,8 +167,7 @@ TEST(SymmetricSolver, CanBeReusedAfterAnIndefiniteMatrix) {
   EXPECT_EQ(solver.factorize(indefinite), SolveStatus::not_positive_definite);
   ASSERT_EQ(solver.factorize(lower), SolveStatus::solved);
   Eigen::VectorXd x;
-  ASSERT_EQ(solver.solve(lower, system.right(), x), SolveStatus::solved);
-  EXPECT_LT(solver.relative_residual(), 1e-12);
+  ASSERT_EQ(solver.solve(lower, system.right(), x, 1e-12), SolveStatus::solved);
 }
 
 TEST(GridSystem, KeepsItsPatternWhenCleared) {

@@ -10,7 +10,7 @@ namespace malus {
 namespace {
 
 Finding finding(Severity severity, const std::string& message) {
-  return {"order", severity, message, "look", {}};
+  return {Check::order, severity, message, "look", {}};
 }
 
 TEST(InputEvidence, NotesDoNotLimitTheConfidence) {
@@ -55,7 +55,7 @@ TEST(InputEvidence, AWrongScaleOfThePolarizerLimitsTheConfidence) {
   calibration.doubt = "is angle_zero_deg off by 90°?";
   const std::vector<Finding> asked = EvidenceOfImages(calibration).evidence.findings;
   ASSERT_EQ(asked.size(), 2u);
-  EXPECT_EQ(asked[1].check, "scale");
+  EXPECT_EQ(asked[1].check, Check::scale);
   EXPECT_EQ(asked[1].severity, Severity::caution);
   EXPECT_EQ(asked[1].message, calibration.doubt);
   calibration.is_contradicted = true;

@@ -143,7 +143,7 @@ TEST(KeptResults, ViewColorAndSceneAreReadBackUnchanged) {
 
 TEST(KeptResults, InputEvidenceKeepsItsFindings) {
   const InputEvidence back =
-      expect_kept(InputEvidence{{{"misfits", Severity::caution, "many", "look", {{"misfit_fraction", 0.25}}}}});
+      expect_kept(InputEvidence{{{Check::misfits, Severity::caution, "many", "look", {{"misfit_fraction", 0.25}}}}});
   ASSERT_EQ(back.findings.size(), 1u);
   EXPECT_EQ(back.findings[0].severity, Severity::caution);
   EXPECT_EQ(back.findings[0].figures[0].second, 0.25);
