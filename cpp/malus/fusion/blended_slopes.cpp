@@ -43,7 +43,8 @@ BlendedCells blended_cells(const RefinementImage& image, const Image<double>& x_
 Image<float> correction(const BlendedCells& cells, const Context& context) {
   const PixelIndex pixels(cells.known);
   GridSystem system(pixels);
-  const double pull = 0.01 / std::max(pixels.count(), 1);
+  constexpr double pull_of_all = 0.01;  // weak over the object's size
+  const double pull = pull_of_all / std::max(pixels.count(), 1);
   const auto add_slope = [&](int a, int u, int v) {
     const int b = pixels.at(u, v);
     if (b < 0) return;
