@@ -13,20 +13,15 @@ namespace {
 
 // A figure that is missing or NaN proves nothing: the comparisons below are written so that NaN fails them.
 
-/// A surface with a large standard deviation has no reliable detail.
 void limit_by_sigma(const FusedSurface& surface, Confidence& confidence, const Context& context) {
-  constexpr double unknown_gsd = 10;
   const auto sigma = [&](std::size_t i) { return surface.sigma[i]; };
   const double median_gsd = percentiles({surface.sigma.count(), sigma, context}, 1, {0.5})[0] /
                             ground_sampling_distance(surface.depth, surface.camera, context);
   if (std::isnan(median_gsd)) {
     confidence.limit(ConfidenceLevel::partial, "The surface's standard deviation is not known.");
-  } else if (!(median_gsd <= unknown_gsd)) {
-    confidence.limit(ConfidenceLevel::low, "The standard deviation of the surface is " +
-                                               std::to_string(std::lround(median_gsd)) +
-                                               " times the ground sampling distance (median): too much for fine "
-                                               "detail.");
+    return;
   }
+  limit_by_sigma_gsd(median_gsd, confidence);
 }
 
 /// Fused and prior surface contradict each other where their distance exceeds the prior's uncertainty.
@@ -111,6 +106,14 @@ double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, 
     sums[1] += 1;
   });
   return fraction_of(within, compared);
+}
+
+void limit_by_sigma_gsd(double sigma_gsd, Confidence& confidence) {
+  constexpr double most_gsd = 10;
+  if (sigma_gsd <= most_gsd) return;
+  confidence.limit(ConfidenceLevel::low, "The standard deviation of the surface is " +
+                                             std::to_string(std::lround(sigma_gsd)) +
+                                             " times the ground sampling distance (median): too much for fine detail.");
 }
 
 Confidence assessed_confidence(const AssessInput& input, const Context& context) {

@@ -17,6 +17,9 @@ double usable_share(const AssessInput& input, const Context& context);
 /// deviations.
 double share_within_prior(const FusedSurface& surface, const DepthPrior& prior, const Context& context);
 
+/// Limits the confidence of a surface whose standard deviation is more than 10 GSD: it has no reliable detail.
+void limit_by_sigma_gsd(double sigma_gsd, Confidence& confidence);
+
 /// How far the surface may be trusted: the fusion's own confidence, limited by a comparison of surface, prior and
 /// polarization. It does not depend on options, patches, profiles or the reference, so that the surface's files can
 /// state it before those are evaluated.

@@ -6,6 +6,7 @@
 #include "malus/core/masked_blur_internal.h"
 #include "malus/core/parallel_internal.h"
 #include "malus/core/pixel_rect_internal.h"
+#include "malus/core/square_internal.h"
 #include "malus/fusion/blended_slopes_internal.h"
 #include "malus/linalg/grid_solver_internal.h"
 
@@ -15,36 +16,37 @@ namespace {
 /// Means over the object's pixels of each cell.
 struct BlendedCells {
   Image<double> movement;
-  Image<float> trust;
+  Image<float> trust, variance;  ///< variance: of the prior
   Mask known;
 };
 
 BlendedCells blended_cells(const RefinementImage& image, const Image<double>& x_prior, const Image<float>& trust,
                            int cell_px, const Context& context) {
   const Size size = image.size(), count = cells_over(size, cell_px);
-  BlendedCells cells{Image<double>(count), Image<float>(count), Mask(count)};
+  BlendedCells cells{Image<double>(count), Image<float>(count), Image<float>(count), Mask(count)};
   parallel_pixels(context, count, [&](int column, int row) {
-    double movement = 0, trusts = 0;
+    double movement = 0, trusts = 0, variance = 0;
     int nodes = 0;
     for_each_pixel(cell_rect(column, row, cell_px, size), image.object, [&](int u, int v) {
       movement += image.x(u, v) - x_prior(u, v);
       trusts += trust(u, v);
+      variance += square(image.source(u, v).prior_sigma);
       ++nodes;
     });
     if (nodes == 0) return;
     cells.movement(column, row) = movement / nodes;
     cells.trust(column, row) = static_cast<float>(trusts / nodes);
+    cells.variance(column, row) = static_cast<float>(variance / nodes);
     cells.known(column, row) = 255;
   });
   return cells;
 }
 
 /// The correction in each cell of the object; NaN beside it.
-Image<float> correction(const BlendedCells& cells, const Context& context) {
+Image<float> correction(const BlendedCells& cells, int cell_px, const Context& context) {
+  constexpr double slope_error = 0.05;  // of the prior and of the refined surface
   const PixelIndex pixels(cells.known);
   GridSystem system(pixels);
-  constexpr double pull_of_all = 0.01;  // weak over the object's size
-  const double pull = pull_of_all / std::max(pixels.count(), 1);
   const auto add_slope = [&](int a, int u, int v) {
     const int b = pixels.at(u, v);
     if (b < 0) return;
@@ -55,7 +57,7 @@ Image<float> correction(const BlendedCells& cells, const Context& context) {
     system.add_row(ends, difference, 2, -movement * (cells.trust(u, v) - cells.trust(from_u, from_v)), 1);
   };
   for (int a = 0; a < pixels.count(); ++a) {
-    system.add(a, a, pull);
+    system.add(a, a, square(slope_error * cell_px) / cells.variance(pixels.u(a), pixels.v(a)));
     add_slope(a, pixels.u(a) + 1, pixels.v(a));
     add_slope(a, pixels.u(a), pixels.v(a) + 1);
   }
@@ -86,7 +88,7 @@ void blend_slopes(RefinementImage& image, const Image<double>& x_prior, const Im
   while (count_of_set(image.object) > most_cells * cell_px * cell_px) cell_px *= 2;
   // Trust is interpolated between the cells, too: then the correction's slopes fit its slopes.
   BlendedCells cells = blended_cells(image, x_prior, trust, cell_px, context);
-  Image<float> change = correction(cells, context);
+  Image<float> change = correction(cells, cell_px, context);
   continue_beside(change, cells.known, context);
   continue_beside(cells.trust, cells.known, context);
   parallel_pixels(context, image.object, [&](int u, int v) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 
+#include "malus/assess/assessed_confidence_internal.h"
 #include "malus/capture/capture_internal.h"
 #include "malus/capture/response_internal.h"
 #include "malus/core/digits_internal.h"
@@ -118,7 +119,12 @@ struct PriorCheck {
     require_sigma(shape, options);
     const CameraSpec& camera = *station.file.camera;
     const std::string name(name_of(shape));
-    return name + ", " + coverage_by(depth_of_shape(shape, camera.lens.pinhole(), camera.pose), name);
+    const Pinhole pinhole = camera.lens.pinhole();
+    const Image<float> depth = depth_of_shape(shape, pinhole, camera.pose);
+    const std::string coverage = coverage_by(depth, name);
+    // The surface's standard deviation is nowhere below the shape's.
+    limit_by_sigma_gsd(*options.sigma / ground_sampling_distance(depth, pinhole, context), plan.confidence);
+    return name + ", " + coverage;
   }
   std::string operator()(const Image<float>& depth) const {
     require_depth_map(depth, station.file.camera->lens.pinhole().size);

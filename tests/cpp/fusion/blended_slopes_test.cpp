@@ -34,7 +34,12 @@ class BlendedSlopes : public testing::TestWithParam<std::ptrdiff_t> {
   Image<double> x_prior_{blended_size};
   Image<float> trust_{blended_size};
 
+  void set_prior_sigma(float gsd) {
+    image_.source = [gsd](int, int) { return PixelData{.prior_sigma = gsd}; };
+  }
+
   void SetUp() override {
+    set_prior_sigma(200);
     image_.object = Mask(blended_size, 1, 255);
     image_.x = Image<double>(blended_size);
     for (int v = 0; v < blended_size.height; ++v) {
@@ -57,6 +62,13 @@ TEST_P(BlendedSlopes, HaveNoCliffWhereTrustEnds) {
 INSTANTIATE_TEST_SUITE_P(Pixels, BlendedSlopes, testing::Values(1'000'000, 3000), [](const auto& kind) {
   return kind.param > 9600 ? std::string("EachAnUnknown") : std::string("InCells");
 });
+
+TEST_P(BlendedSlopes, KeepTheDepthOfAPriorThatIsNearlyRight) {
+  set_prior_sigma(0.5);
+  blend_slopes(image_, x_prior_, trust_, Context{}, GetParam());
+  EXPECT_NEAR(image_.x(140, 30), 0, 0.5);
+  EXPECT_NEAR(image_.x(20, 30), 20 * refined_slope, 0.5);
+}
 
 TEST_P(BlendedSlopes, LeaveTheRefinedSurfaceWhereAllIsTrusted) {
   std::fill(trust_.begin(), trust_.end(), 1.0F);

@@ -276,6 +276,19 @@ TEST(CheckStation, AsksForTheSigmaOfAShapeAsARunWould) {
   expect_contains(plan_of(station), "prior: plane, covers 100 %");
 }
 
+TEST(CheckStation, SaysThatADeviationOfMoreThanTenPixelsLimitsTheConfidence) {
+  Station station = scaled_station();
+  station.prior = Shape(PlaneShape{{0, 0, 100}, {0, 0, -1}});
+  const double gsd = station.file.prior_scale * 100 / station.file.camera->lens.pinhole().focal();
+  station.file.prior_sigma = 9 * gsd;
+  EXPECT_TRUE(check_station(station, {}, {}).confidence.reasons.empty());
+  station.file.prior_sigma = 14 * gsd;
+  const Confidence confidence = check_station(station, {}, {}).confidence;
+  EXPECT_EQ(confidence.level, ConfidenceLevel::low);
+  ASSERT_EQ(confidence.reasons.size(), 1U);
+  expect_contains(confidence.reasons[0], "14 times the ground sampling distance");
+}
+
 TEST(KnownDistances, ScaleTheLengthsOfShapesAndNotTheirDirections) {
   const auto plane = std::get<PlaneShape>(scaled(Shape(PlaneShape{{1, 2, 3}, {0, 0, -2}}), 2));
   EXPECT_EQ(plane.point, Eigen::Vector3d(2, 4, 6));
