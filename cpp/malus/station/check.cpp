@@ -123,7 +123,9 @@ struct PriorCheck {
     const Image<float> depth = depth_of_shape(shape, pinhole, camera.pose);
     const std::string coverage = coverage_by(depth, name);
     // The surface's standard deviation is nowhere below the shape's.
+    const std::size_t reasons = plan.confidence.reasons.size();
     limit_by_sigma_gsd(*options.sigma / ground_sampling_distance(depth, pinhole, context), plan.confidence);
+    if (plan.confidence.reasons.size() > reasons) plan.warnings.push_back(plan.confidence.reasons.back());
     return name + ", " + coverage;
   }
   std::string operator()(const Image<float>& depth) const {

@@ -283,10 +283,10 @@ TEST(CheckStation, SaysThatADeviationOfMoreThanTenPixelsLimitsTheConfidence) {
   station.file.prior_sigma = 9 * gsd;
   EXPECT_TRUE(check_station(station, {}, {}).confidence.reasons.empty());
   station.file.prior_sigma = 14 * gsd;
-  const Confidence confidence = check_station(station, {}, {}).confidence;
-  EXPECT_EQ(confidence.level, ConfidenceLevel::low);
-  ASSERT_EQ(confidence.reasons.size(), 1U);
-  expect_contains(confidence.reasons[0], "14 times the ground sampling distance");
+  const Plan plan = check_station(station, {}, {});
+  EXPECT_EQ(plan.confidence.level, ConfidenceLevel::low);
+  ASSERT_EQ(plan.warnings.size(), 1U);
+  expect_contains(plan.warnings[0], "14 times the ground sampling distance");
 }
 
 TEST(KnownDistances, ScaleTheLengthsOfShapesAndNotTheirDirections) {
