@@ -311,8 +311,8 @@ class StripMaker {
 }  // namespace
 
 double largest_sigma_gsd(const SurfaceOptions& options, double prior_sigma_gsd) {
-  constexpr double usual = 10, times_the_priors = 4;
-  return options.max_sigma_gsd.value_or(std::max(usual, times_the_priors * prior_sigma_gsd));
+  constexpr double usual = 10, times_the_priors = 4, most = 1e9;  // the option's bound
+  return options.max_sigma_gsd.value_or(std::min(std::max(usual, times_the_priors * prior_sigma_gsd), most));
 }
 
 MeshInStrips mesh_in_strips(const FusedSurface& surface, const Image<float>& color, const SurfaceOptions& options,
