@@ -285,7 +285,7 @@ def test_defaults_of_options_on_the_pages_are_those_of_the_program() -> None:
     pages = [page for page in PAGES if page.parent.name != "decisions"]  # which tell of their time
     text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     stated = re.findall(r"`([a-z]+\.[a-z_]+)`\s\((\d[\d ]*(?:\.\d+)?)\)", text)
-    assert len(stated) > 3
+    assert len(stated) > 4
     assert not [entry for entry in stated if defaults[entry[0]] != float(entry[1].replace(" ", ""))]
 
 
